@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes sms_jobs/jobs/kernels.txt: the kernels, with the types of their arguments, that the demo needs.
+"""Writes sms_jobs/jobs/running/kernels.txt: kernels that the demo needs, with the types of their arguments.
 
 They are compiled before jobs want them. After a change of what a kernel is called with:
 
@@ -24,7 +24,7 @@ from numba.core.dispatcher import Dispatcher
 
 import sms_jobs.metrology
 import sms_jobs.virtual_rig
-from sms_jobs.jobs.kernels import LIST
+from sms_jobs.jobs.running.kernels import LIST
 from sms_jobs.metrology.kernel_cache import KernelCache
 
 HEAD = "# Written by ops/kernels.py, which says what it is for.\n"

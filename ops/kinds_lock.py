@@ -36,6 +36,7 @@ NEUTRAL = frozenset(
         "sms_jobs.errors",
         "sms_jobs.kinds",
         "sms_jobs.kinds.kind",
+        "sms_jobs.kinds.parameters",
         "sms_jobs.kinds.products",
         "sms_jobs.records.views",
     }

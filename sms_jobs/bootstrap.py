@@ -25,7 +25,7 @@ from sms_jobs.records.texts import checked_text
 from sms_jobs.settings import Settings
 
 if TYPE_CHECKING:
-    from sms_jobs.jobs.stations import Stations
+    from sms_jobs.jobs.devices.stations import Stations
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Services:
     def stations(self) -> Stations:
         """The rigs that are connected to this host."""
         # Which load the instruments' records: only what works with rigs needs them.
-        from sms_jobs.jobs.stations import Stations
+        from sms_jobs.jobs.devices.stations import Stations
 
         return Stations.of(self.settings)
 

@@ -59,7 +59,7 @@ def _settings_of_the_developer_do_not_matter(monkeypatch: pytest.MonkeyPatch) ->
 def _passwords_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
     # A hash is to cost tenths of a second and 64 MB, and tests make hundreds. Services hash as always.
     quick = PasswordHasher(time_cost=1, memory_cost=1024, parallelism=1)
-    monkeypatch.setattr("sms_jobs.app.people._hasher", lambda: quick)
+    monkeypatch.setattr("sms_jobs.app.accounts.people._hasher", lambda: quick)
 
 
 @pytest.fixture

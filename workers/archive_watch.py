@@ -15,7 +15,8 @@ from sqlalchemy import select
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.errors import SmsError, StorageFull, StorageUnusable
-from sms_jobs.jobs import notices, queues, recovery
+from sms_jobs.jobs.notifying import notices
+from sms_jobs.jobs.running import queues, recovery
 from sms_jobs.records.subject import Subject
 
 logger = logging.getLogger(__name__)

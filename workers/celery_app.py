@@ -10,7 +10,7 @@ from kombu.entity import Queue as MessageQueue
 from kombu.exceptions import OperationalError
 
 from sms_jobs.errors import ConfigurationError
-from sms_jobs.jobs.stations import EVERY_RIG
+from sms_jobs.jobs.devices.stations import EVERY_RIG
 from sms_jobs.kinds.kind import Queue
 from sms_jobs.settings import Settings
 from sms_jobs.workers import file_transport

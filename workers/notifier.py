@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import deliveries, notices, sending
+from sms_jobs.jobs.notifying import deliveries, notices, sending
 
 logger = logging.getLogger(__name__)
 

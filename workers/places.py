@@ -20,8 +20,8 @@ from pathlib import Path
 
 import psutil
 
-from sms_jobs.jobs.limits import Force
-from sms_jobs.jobs.stillness import Stillness
+from sms_jobs.jobs.running.limits import Force
+from sms_jobs.jobs.running.stillness import Stillness
 from sms_jobs.workers.board import NURSERY, Board, new_board, place_line
 
 logger = logging.getLogger(__name__)

@@ -18,8 +18,8 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 from sms_jobs.instruments.connection import channel_reader
 from sms_jobs.instruments.holding import Detector, Hold, HoldDetector, StandstillDetector
-from sms_jobs.jobs import due_recordings, quick_looks, watched_rigs
-from sms_jobs.jobs.due_recordings import Due
+from sms_jobs.jobs.recording import due_recordings, quick_looks, watched_rigs
+from sms_jobs.jobs.recording.due_recordings import Due
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.triggers import Every, Holding, InTurn, Watched
 

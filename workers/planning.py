@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import planned_recordings
+from sms_jobs.jobs.recording import planned_recordings
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import logging
 import os
 import threading
 
-from sms_jobs.jobs import kernels
+from sms_jobs.jobs.running import kernels
 from sms_jobs.workers.place import end_with_supervisor
 from sms_jobs.workers.tasks import SETTINGS
 

@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from celery import Celery
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import doorbell
-from sms_jobs.jobs.doorbell import Call
+from sms_jobs.jobs.running import doorbell
+from sms_jobs.jobs.running.doorbell import Call
 from sms_jobs.workers.celery_app import RUN, message_queue
 
 logger = logging.getLogger(__name__)

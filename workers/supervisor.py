@@ -23,10 +23,11 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import job_counts, sealing, upkeep
 from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import limits, recovery, schedules
-from sms_jobs.jobs.limits import Limits, Watch
-from sms_jobs.jobs.origin import Origin
-from sms_jobs.jobs.witness import Witness
+from sms_jobs.jobs.running import limits, recovery
+from sms_jobs.jobs.running.limits import Limits, Watch
+from sms_jobs.jobs.running.origin import Origin
+from sms_jobs.jobs.running.witness import Witness
+from sms_jobs.jobs.scheduling import schedules
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch

@@ -15,8 +15,8 @@ from functools import cache
 from sms_jobs import settings as settings_file
 from sms_jobs.bootstrap import open_archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs.runner import Runner
-from sms_jobs.jobs.stations import Stations
+from sms_jobs.jobs.devices.stations import Stations
+from sms_jobs.jobs.running.runner import Runner
 from sms_jobs.workers.celery_app import ALL_QUEUES, RUN, WORKER_ID, WORKER_QUEUES, make_app, message_queue
 
 SETTINGS = settings_file.load()

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from sms_jobs.errors import StorageFull, StorageUnusable
+from sms_jobs.errors import ArchiveCorrupt, SmsError, StorageFull, StorageUnusable
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM})
@@ -28,6 +28,17 @@ def says_full(error: BaseException) -> bool:
 def says_unusable(error: BaseException) -> bool:
     """Say whether an error means that the disk or share cannot be used, whatever file was asked for."""
     return not _UNUSABLE.isdisjoint(_numbers(error))
+
+
+def fault_of_the_place(error: Exception) -> Exception:
+    """Return what a full or unusable disk has caused as an error of the storage; any other error as it is."""
+    if isinstance(error, SmsError) and not isinstance(error, ArchiveCorrupt):
+        return error
+    if isinstance(error, OSError) and says_full(error):
+        return StorageFull(f"the disk is full: {error.filename or 'writing an output'}; free some space")
+    if says_unusable(error):
+        return StorageUnusable(f"the archive could not be used ({error}); look at its disk or share")
+    return error
 
 
 def _numbers(error: BaseException | None) -> Iterator[int]:

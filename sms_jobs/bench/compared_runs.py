@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.work import jobs
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.bench.tampering import runner
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import recovery
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.running import recovery
 from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 
 CAMPAIGN = "bending"

@@ -26,10 +26,10 @@ from sms_jobs.bench.tampering import now, registered, runner, url
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.jobs import indexing
-from sms_jobs.jobs.indexing import ResolvedInput
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving import indexing
+from sms_jobs.jobs.archiving.indexing import ResolvedInput
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import Dataset, DatasetOutput, Inputs
 from sms_jobs.records.campaign import Campaign

@@ -27,13 +27,14 @@ from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, OtherFormat, SmsError
-from sms_jobs.jobs import recovery, reuse
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.reuse import Earlier, EarlierFile
-from sms_jobs.jobs.runner import Runner
-from sms_jobs.jobs.stations import Stations
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.devices.stations import Stations
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.results import reuse
+from sms_jobs.jobs.results.reuse import Earlier, EarlierFile
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.running.runner import Runner
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
 from sms_jobs.records.sensors import Calibration

@@ -13,7 +13,7 @@ from sqlalchemy import func, select, text, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import EventRow
-from sms_jobs.catalogue.people_tables import AuditRow
+from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.errors import CatalogueDamaged
 from sms_jobs.records.people import Actor, Role
 from sms_jobs.records.shown.people import Link

@@ -26,15 +26,14 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
-from sms_jobs.catalogue import (  # noqa: F401 - every table is known by it
-    audit,
-    check_tables,
-    planned_tables,
-    readable,
-    run_tables,
-    schedule_tables,
-)
+from sms_jobs.catalogue import audit, readable
 from sms_jobs.catalogue.audit import Deed
+from sms_jobs.catalogue.tables import (  # noqa: F401 - every table is known by it
+    checks,
+    planned,
+    runs,
+    schedules,
+)
 from sms_jobs.errors import (
     CatalogueBusy,
     CatalogueDamaged,

@@ -17,7 +17,7 @@ from sqlalchemy import (
 from sqlalchemy import Table as SqlTable
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, validates
 
-from sms_jobs.catalogue.columns import MessageText, String, Text, UtcDateTime
+from sms_jobs.catalogue.tables.columns import MessageText, String, Text, UtcDateTime
 from sms_jobs.records.job import JobState
 from sms_jobs.records.views import view_of
 

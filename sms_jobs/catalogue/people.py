@@ -8,7 +8,7 @@ from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.people_tables import PersonRow
+from sms_jobs.catalogue.tables.people import PersonRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.people import Role
 from sms_jobs.records.shown.people import PersonView

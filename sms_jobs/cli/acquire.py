@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import recordings
-from sms_jobs.app.recordings import Begun, Plan, Recorded
+from sms_jobs.app.measuring import recordings
+from sms_jobs.app.measuring.recordings import Begun, Plan, Recorded
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output, planned_recordings, recorded_states, streams, waiting
 from sms_jobs.cli import dry_run as dry_run_

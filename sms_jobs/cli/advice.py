@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import textures
-from sms_jobs.app.textures import GAUGES_PX, Advice, Choice, Image
+from sms_jobs.app.fields import textures
+from sms_jobs.app.fields.textures import GAUGES_PX, Advice, Choice, Image
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import archive
+from sms_jobs.app.holdings import archive
 from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import files, finding, writing
+from sms_jobs.app import writing
+from sms_jobs.app.holdings import files, finding
 from sms_jobs.cli import found_files, output
 from sms_jobs.cli.found_files import (
     After,

@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 import typer
 from pydantic import SecretStr
 
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput, PasswordNeeded
 

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import audit
-from sms_jobs.app.audit import Head
+from sms_jobs.app.accounts import audit
+from sms_jobs.app.accounts.audit import Head
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.times import parsed_time

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import campaigns
+from sms_jobs.app.specimens import campaigns
 from sms_jobs.cli import completion, output, simulated, specimen_frame
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound

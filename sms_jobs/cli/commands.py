@@ -124,11 +124,12 @@ COMMANDS: Mapping[str, Command] = {
     "lock": Command("Devices that a job or a person holds.", "cli.lock"),
     "data": Command("Measurements and results in the archive.", "cli.data"),
     "import": Command(
-        "Bring in what was made elsewhere: frames, images, readings, calibrations, surfaces.", "cli.importing"
+        "Bring in what was made elsewhere: frames, images, readings, calibrations, surfaces.",
+        "cli.importing.group",
     ),
     "speckle": Command("Speckle patterns for specimens.", "cli.speckle"),
     "archive": Command("The archive: is everything there, and as it was sealed?", "cli.archive"),
-    "calibration": Command("Calibrations of rigs.", "cli.calibration"),
+    "calibration": Command("Calibrations of rigs.", "cli.calibration.group"),
     "person": Command("People: their names, roles and passwords.", "cli.person"),
     "token": Command("Tokens: what lets programs in for a person.", "cli.token"),
     "audit": Command("The audit: who did what, and is it as it was written?", "cli.audit"),

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import state_comparison, writing
-from sms_jobs.app.field_comparison import How, difference_of
+from sms_jobs.app import writing
+from sms_jobs.app.fields import state_comparison
+from sms_jobs.app.fields.field_comparison import How, difference_of
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 

@@ -26,7 +26,7 @@ Offered = TypeVar("Offered", str, tuple[str, str])
 
 def campaign_names(context: typer.Context, incomplete: str) -> list[str]:
     """Offer the names of campaigns."""
-    from sms_jobs.app import campaigns
+    from sms_jobs.app.specimens import campaigns
 
     return _offer(context, incomplete, campaigns.names)
 
@@ -45,7 +45,7 @@ def view_names(context: typer.Context, incomplete: str) -> list[str]:
 
 def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:
     """Offer the latest jobs, each with what it is."""
-    from sms_jobs.app import jobs
+    from sms_jobs.app.work import jobs
 
     def latest(services: Services) -> list[tuple[str, str]]:
         found = jobs.list_jobs(services, limit=_JOBS_OFFERED)
@@ -56,14 +56,14 @@ def job_ids(context: typer.Context, incomplete: str) -> list[tuple[str, str]]:
 
 def run_names(context: typer.Context, incomplete: str) -> list[str]:
     """Offer the names of runs."""
-    from sms_jobs.app import runs
+    from sms_jobs.app.work import runs
 
     return _offer(context, incomplete, lambda services: [run.name for run in runs.list_runs(services)])
 
 
 def kind_names(incomplete: str) -> list[tuple[str, str]]:
     """Offer the job kinds."""
-    from sms_jobs.app import kinds
+    from sms_jobs.app.work import kinds
 
     offered = [(kinds.EVERYTHING, "all kinds but simulate")]
     offered += [(kind.name, kind.summary) for kind in kinds.kinds()]
@@ -71,7 +71,7 @@ def kind_names(incomplete: str) -> list[tuple[str, str]]:
 
 
 def _campaign(services: Services, context: typer.Context) -> Campaign:
-    from sms_jobs.app import campaigns
+    from sms_jobs.app.specimens import campaigns
 
     return campaigns.definition(services, context.params.get("campaign") or "")
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import database
-from sms_jobs.app.database import SHARES, BackedUp
+from sms_jobs.app.home import database
+from sms_jobs.app.home.database import SHARES, BackedUp
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.output import Home, Json
 

@@ -15,9 +15,9 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import demo as demo_
-from sms_jobs.app import kernels
-from sms_jobs.app.waiting import Waiting
+from sms_jobs.app.home import demo as demo_
+from sms_jobs.app.work import kernels
+from sms_jobs.app.work.waiting import Waiting
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
 from sms_jobs.cli.waiting import followed

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from sms_jobs.app import kernels as kernels_
-from sms_jobs.app.doctor import Examined, diagnosed
+from sms_jobs.app.home.doctor import Examined, diagnosed
+from sms_jobs.app.work import kernels as kernels_
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.output import Home, Json
 

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import exporting
-from sms_jobs.app.exporting import Chosen, ExportOptions
+from sms_jobs.app.fields import exporting
+from sms_jobs.app.fields.exporting import Chosen, ExportOptions
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput

@@ -13,8 +13,9 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import finding, writing
-from sms_jobs.app.finding import OF_FILE, Question, column_names
+from sms_jobs.app import writing
+from sms_jobs.app.holdings import finding
+from sms_jobs.app.holdings.finding import OF_FILE, Question, column_names
 from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import completion, output
 from sms_jobs.errors import InvalidInput

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import finding
-from sms_jobs.app.finding import column_names
-from sms_jobs.app.finding_states import find_states
+from sms_jobs.app.holdings import finding
+from sms_jobs.app.holdings.finding import column_names
+from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.cli import found_files, output
 from sms_jobs.cli.found_files import (
     After,

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import found_work
-from sms_jobs.app import jobs as jobs_
-from sms_jobs.app import kinds as kinds_
-from sms_jobs.app.jobs import Refusal, Submitted, Work
-from sms_jobs.app.waiting import Waited, Waiting, wait_for
+from sms_jobs.app.work import found_work
+from sms_jobs.app.work import jobs as jobs_
+from sms_jobs.app.work import kinds as kinds_
+from sms_jobs.app.work.jobs import Refusal, Submitted, Work
+from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.output import Home, Json

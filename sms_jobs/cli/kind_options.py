@@ -11,7 +11,7 @@ from typing import Any
 
 from typer.core import TyperCommand
 
-from sms_jobs.app.kinds import KindView, find_kind
+from sms_jobs.app.work.kinds import KindView, find_kind
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import rigs
+from sms_jobs.app.measuring import rigs
 from sms_jobs.cli import output
 from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json

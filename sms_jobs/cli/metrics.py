@@ -12,7 +12,7 @@ import typer
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from sms_jobs import bootstrap
-from sms_jobs.app import service
+from sms_jobs.app.home import service
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home

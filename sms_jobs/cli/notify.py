@@ -8,7 +8,7 @@ import typer
 from pydantic import SecretStr
 
 from sms_jobs import bootstrap
-from sms_jobs.app import notifications
+from sms_jobs.app.accounts import notifications
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, SmsError

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sms_jobs.app import textures
+from sms_jobs.app.fields import textures
 from sms_jobs.cli import output
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import openid, people
+from sms_jobs.app.accounts import openid, people
 from sms_jobs.cli import asking, output
 from sms_jobs.cli.asking import PasswordStdin, Reason
 from sms_jobs.cli.output import Home, Json

@@ -11,8 +11,8 @@ import typer
 from typer.core import TyperGroup
 
 from sms_jobs import bootstrap
-from sms_jobs.app import planned_recordings, quick_looks
-from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
+from sms_jobs.app.measuring import planned_recordings, quick_looks
+from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput

@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import packing, writing
-from sms_jobs.app.packing import CheckedFolder
+from sms_jobs.app import writing
+from sms_jobs.app.holdings import packing
+from sms_jobs.app.holdings.packing import CheckedFolder
 from sms_jobs.cli import bars, completion, output
-from sms_jobs.cli.calibration_acceptance import used_for
+from sms_jobs.cli.calibration.acceptance import used_for
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.sizes import size
 

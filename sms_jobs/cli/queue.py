@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import queues
+from sms_jobs.app.work import queues
 from sms_jobs.cli import output
 from sms_jobs.cli.job import Campaign, JobIds
 from sms_jobs.cli.output import Home, Json

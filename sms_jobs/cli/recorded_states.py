@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 
 from sms_jobs import bootstrap
-from sms_jobs.app import recordings
+from sms_jobs.app.measuring import recordings
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import runs, writing
+from sms_jobs.app import writing
+from sms_jobs.app.work import runs
 from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
@@ -131,7 +132,7 @@ def compare(
     if out is not None:
         writing.check_new_file(out, force, (".html", ".csv"))
     # Listing and keeping runs needs nothing of what reads fields.
-    from sms_jobs.app import run_comparison
+    from sms_jobs.app.work import run_comparison
 
     with bootstrap.services(home) as services, bars.followed(bars.progress_bar()) as tell:
         if out is not None and out.suffix == ".html":

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import schedules
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.work import schedules
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.job import given_parameters
 from sms_jobs.cli.output import Home, Json

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home
 from sms_jobs.errors import InvalidInput

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import service
-from sms_jobs.app.service import Status
+from sms_jobs.app.home import service
+from sms_jobs.app.home.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import outlook_text

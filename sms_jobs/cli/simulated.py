@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import experiments
-from sms_jobs.app.experiments import EXPERIMENTS
+from sms_jobs.app.specimens import experiments
+from sms_jobs.app.specimens.experiments import EXPERIMENTS
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import specimen_frames
-from sms_jobs.app.specimen_frames import Choice, FrameOf, Place
+from sms_jobs.app.specimens import specimen_frames
+from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf, Place
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput

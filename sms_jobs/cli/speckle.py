@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sms_jobs.app import textures, writing
+from sms_jobs.app import writing
+from sms_jobs.app.fields import textures
 from sms_jobs.cli import output
 
 app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)

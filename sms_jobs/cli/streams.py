@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import recordings, streams
-from sms_jobs.app.recordings import Begun
-from sms_jobs.app.streams import Task
+from sms_jobs.app.measuring import recordings, streams
+from sms_jobs.app.measuring.recordings import Begun
+from sms_jobs.app.measuring.streams import Task
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output, waiting
 from sms_jobs.cli.output import Home, Json

@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import surface_fields, writing
-from sms_jobs.app.surface_fields import Gauges, Section
-from sms_jobs.app.surface_fields import microstrain as _in
+from sms_jobs.app import writing
+from sms_jobs.app.fields import surface_fields
+from sms_jobs.app.fields.surface_fields import Gauges, Section
+from sms_jobs.app.fields.surface_fields import microstrain as _in
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput

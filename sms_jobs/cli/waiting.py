@@ -11,7 +11,7 @@ from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.shown.estimates import Estimate, Outlook
 
 if TYPE_CHECKING:
-    from sms_jobs.app.waiting import Waiting
+    from sms_jobs.app.work.waiting import Waiting
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from pathlib import Path
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.csv_tables import csv_rows
 from sms_jobs.formats.interchange.text_files import read_text
-from sms_jobs.metrology.deformation.gauges import GaugePlace
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace
 
 _FORM = "NAME x=MM y=MM length=MM [width=MM] [angle=DEGREES]"
 _FORM_PX = "NAME x=100px y=80px length=60px [width=30px] [angle=DEGREES]"

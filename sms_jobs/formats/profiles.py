@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import as_png, new_figure
 from sms_jobs.formats.gauge_descriptions import GaugeReading
-from sms_jobs.metrology.deformation.gauges import Profile
+from sms_jobs.metrology.deformation.strain.gauges import Profile
 from sms_jobs.records.quantity import quantities_of
 
 Floats: TypeAlias = NDArray[np.float64]

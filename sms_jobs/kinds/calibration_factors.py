@@ -21,9 +21,14 @@ from sms_jobs.metrology.calibration.point_factor import (
     sigma_of,
     square_root,
 )
-from sms_jobs.metrology.deformation.common_errors import directional, mean_slopes, strain_factor, tangents
-from sms_jobs.metrology.deformation.gauges import GaugeValue
-from sms_jobs.metrology.deformation.rigid_motion import RigidMotion, common_factor
+from sms_jobs.metrology.deformation.fields.rigid_motion import RigidMotion, common_factor
+from sms_jobs.metrology.deformation.strain.common_errors import (
+    directional,
+    mean_slopes,
+    strain_factor,
+    tangents,
+)
+from sms_jobs.metrology.deformation.strain.gauges import GaugeValue
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Camera, Pose
 from sms_jobs.metrology.images.coarse_maps import Samples, sample_blocks, spread
 from sms_jobs.records.calibration import CalibrationFactor, CalibrationUncertainty

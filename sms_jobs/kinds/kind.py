@@ -12,8 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from pydantic import BaseModel, ConfigDict
-
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
 
@@ -23,12 +22,6 @@ if TYPE_CHECKING:
     from sms_jobs.records.optical_instruments import RigFile
 
 R = TypeVar("R")
-
-
-class Parameters(BaseModel):
-    """Base of every kind's parameters: immutable, unknown names refused, units in the names."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 P = TypeVar("P", bound=Parameters)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.displacement import ImagePoints
-from sms_jobs.metrology.deformation.matching import GridMatches
-from sms_jobs.metrology.deformation.splitting import Split
+from sms_jobs.metrology.deformation.cracks.splitting import Split
+from sms_jobs.metrology.deformation.fields.displacement import ImagePoints
+from sms_jobs.metrology.deformation.matching import correlation
+from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.reasons import Reason

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.spatial_resolution import (
+from sms_jobs.metrology.deformation.fields.spatial_resolution import (
     left_by_averaging,
     left_by_blending,
     periods_about,
@@ -14,6 +13,7 @@ from sms_jobs.metrology.deformation.spatial_resolution import (
     resolution_of,
     response_of_subsets,
 )
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface
 
 

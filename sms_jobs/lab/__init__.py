@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from sms_jobs.app.jobs import Submitted, Work
-from sms_jobs.app.reading import StoredRecord
-from sms_jobs.app.specimen_axes import in_specimen_frame
-from sms_jobs.app.specimen_frames import Choice, FrameOf, Place
-from sms_jobs.app.waiting import Waited
+from sms_jobs.app.holdings.reading import StoredRecord
+from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
+from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf, Place
+from sms_jobs.app.work.jobs import Submitted, Work
+from sms_jobs.app.work.waiting import Waited
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.lab.datasets import MISSING, dataset_of
 from sms_jobs.lab.source import Home, Source

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sms_jobs.app.reading import StoredRecord
+from sms_jobs.app.holdings.reading import StoredRecord
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.records.quantity import Quantity, quantities, quantities_of
 from sms_jobs.records.reasons import Reason

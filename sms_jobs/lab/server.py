@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from sms_jobs.app import reading
-from sms_jobs.app.jobs import Explanation, Refusal, Submitted, Work
-from sms_jobs.app.reading import RecordParts, StoredRecord
-from sms_jobs.app.specimen_frames import Choice, FrameOf
-from sms_jobs.app.waiting import Waited, timed_out
+from sms_jobs.app.holdings import reading
+from sms_jobs.app.holdings.reading import RecordParts, StoredRecord
+from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf
+from sms_jobs.app.work.jobs import Explanation, Refusal, Submitted, Work
+from sms_jobs.app.work.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.estimates import Estimate

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Protocol
 
 from sms_jobs import bootstrap
-from sms_jobs.app import campaigns, finding, jobs, reading, run_comparison, specimen_frames, waiting
-from sms_jobs.app.finding_states import find_states
-from sms_jobs.app.jobs import Explanation, Submitted, Work
-from sms_jobs.app.reading import StoredRecord
-from sms_jobs.app.specimen_frames import Choice, FrameOf
-from sms_jobs.app.waiting import Waited
+from sms_jobs.app.holdings import finding, reading
+from sms_jobs.app.holdings.finding_states import find_states
+from sms_jobs.app.holdings.reading import StoredRecord
+from sms_jobs.app.specimens import campaigns, specimen_frames
+from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf
+from sms_jobs.app.work import jobs, run_comparison, waiting
+from sms_jobs.app.work.jobs import Explanation, Submitted, Work
+from sms_jobs.app.work.waiting import Waited
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.files import Page
 from sms_jobs.records.shown.runs import RunComparison

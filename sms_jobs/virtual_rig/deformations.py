@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.metrology.calibration.pan_tilt import stage_rotation
+from sms_jobs.metrology.calibration.stage.pan_tilt import stage_rotation
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (

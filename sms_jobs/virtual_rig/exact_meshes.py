@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.deformation.merging import join_meshes
+from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Simulation

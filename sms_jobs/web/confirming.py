@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, SecretStr
 
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.asked import Asked, Text
 

@@ -15,8 +15,8 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
-from sms_jobs.app import happenings
-from sms_jobs.app.happenings import Happening
+from sms_jobs.app.work import happenings
+from sms_jobs.app.work.happenings import Happening
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 

@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 from fastapi.security import APIKeyCookie, HTTPBearer
 
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import NotAllowed
 from sms_jobs.web.refusals import NobodyKnown

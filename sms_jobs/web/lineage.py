@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from sms_jobs.app.files import Tree
+from sms_jobs.app.holdings.files import Tree
 from sms_jobs.records.shown.files import Ancestor, FileView
 
 _WIDTH, _HEIGHT, _ACROSS, _DOWN, _EDGE = 190, 40, 240, 54, 6

@@ -10,7 +10,7 @@ import pytest
 from support.command import inside
 
 from sms_jobs import bootstrap
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.sessions import small_session
 

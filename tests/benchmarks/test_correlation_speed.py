@@ -9,10 +9,10 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from scipy import ndimage
 
-from sms_jobs.metrology.deformation.correlation import MatchSettings, match_points, prepare_images
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
-from sms_jobs.metrology.deformation.strain import surface_strain
+from sms_jobs.metrology.deformation.matching.correlation import MatchSettings, match_points, prepare_images
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, seed_displacements
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 SIZE = 512
 

@@ -13,8 +13,8 @@ from support.homes import make_home
 from support.serving import serving
 
 from sms_jobs import bootstrap
-from sms_jobs.app import calibration_drift
-from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.app.calibrating import calibration_drift
+from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, rotation_matrix
 from sms_jobs.records.sensors import Calibration, Rig

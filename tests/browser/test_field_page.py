@@ -18,8 +18,8 @@ from support.homes import stored
 from support.serving import serving
 
 from sms_jobs import bootstrap
-from sms_jobs.app import reading
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.app.holdings import reading
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.fields import StrainField
 from sms_jobs.records.scene import UniaxialStrain

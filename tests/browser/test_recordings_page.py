@@ -13,8 +13,8 @@ from support.command import service
 from support.serving import serving
 
 from sms_jobs import bootstrap
-from sms_jobs.app import planned_recordings
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.app.measuring import planned_recordings
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 RIG = """

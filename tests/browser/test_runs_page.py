@@ -16,8 +16,9 @@ from support.homes import make_home
 from support.serving import serving
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs, people, waiting
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.accounts import people
+from sms_jobs.app.work import jobs, waiting
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.records.people import Role
 
 PASSWORD = "correct horse battery"

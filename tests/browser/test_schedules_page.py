@@ -12,8 +12,8 @@ from support.homes import make_home
 from support.serving import serving
 
 from sms_jobs import bootstrap
-from sms_jobs.app import schedules
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.work import schedules
+from sms_jobs.app.work.jobs import Work
 
 TARGET_PX = 44
 CHOSEN = "document.activeElement.id"

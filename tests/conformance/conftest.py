@@ -13,7 +13,7 @@ from support.jobs import NOW
 
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import recovery
+from sms_jobs.jobs.running import recovery
 
 
 @pytest.fixture(params=["embedded", "grown"])

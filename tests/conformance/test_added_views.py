@@ -14,17 +14,17 @@ from support.command import inside
 from support.deployments import Deployment
 
 from sms_jobs import bootstrap
-from sms_jobs.app import campaigns as app_campaigns
+from sms_jobs.app.specimens import campaigns as app_campaigns
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs import campaign_matrix
-from sms_jobs.jobs.importing import with_view
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.importing import with_view
+from sms_jobs.jobs.asking import campaign_matrix
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.kinds.kind import deformed_tuples, tuples
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.views import view_of

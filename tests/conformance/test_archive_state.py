@@ -15,12 +15,12 @@ from support.over_http import app_of, served
 from support.sealing import measurement
 
 from sms_jobs import bootstrap
-from sms_jobs.app import archive
+from sms_jobs.app.holdings import archive
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.check_tables import FileCheckRow
+from sms_jobs.catalogue.tables.checks import FileCheckRow
 from sms_jobs.errors import Cancelled
-from sms_jobs.jobs import archive_state, retention
-from sms_jobs.jobs.archive_state import DUE_AFTER
+from sms_jobs.jobs.keeping import archive_state, retention
+from sms_jobs.jobs.keeping.archive_state import DUE_AFTER
 
 
 @pytest.fixture

@@ -8,10 +8,11 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.catalogue import campaigns, family
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.jobs import inquiry, reindexing
-from sms_jobs.jobs.foreseen import foreseen_reuse
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.foreseen import foreseen_reuse
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.rebuilding import reindexing
 from sms_jobs.records.job import JobState
 from sms_jobs.records.subject import Subject
 

@@ -20,7 +20,7 @@ from sms_jobs.catalogue import audit, sealing
 from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, SavedQueryRow
-from sms_jobs.catalogue.people_tables import AuditRow
+from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.records.job import JobState
 from sms_jobs.records.people import Actor, Role
 

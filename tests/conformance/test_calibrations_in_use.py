@@ -18,24 +18,20 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow, LoadStateRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.jobs import (
-    acceptances,
-    calibration_choice,
-    inquiry,
-    portable,
-    portable_import,
-    recovery,
-    repair,
-)
-from sms_jobs.jobs.chosen import named
-from sms_jobs.jobs.estimates import estimate
-from sms_jobs.jobs.foreseen import foreseen_reuse
-from sms_jobs.jobs.importing import import_measurement
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.portable import PackOptions
-from sms_jobs.jobs.registration import Registered, register_calibration, register_campaign
-from sms_jobs.jobs.submission import submit
-from sms_jobs.jobs.verification import check_known
+from sms_jobs.jobs.archiving import acceptances, calibration_choice
+from sms_jobs.jobs.archiving.importing import import_measurement
+from sms_jobs.jobs.archiving.registration import Registered, register_calibration, register_campaign
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.keeping import repair
+from sms_jobs.jobs.keeping.verification import check_known
+from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.estimates import estimate
+from sms_jobs.jobs.planning.foreseen import foreseen_reuse
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.portable import packing, unpacking
+from sms_jobs.jobs.portable.packing import PackOptions
+from sms_jobs.jobs.running import recovery
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
@@ -142,11 +138,11 @@ def packed(folder: Path, number: int, checker: Checker) -> Path:
     register_calibration(catalogue, archive, other(calibration, number), at)
     options = PackOptions(campaign.name)
     with catalogue.reading() as session:
-        parts = portable.chosen(session, options, MORNING)
+        parts = packing.chosen(session, options, MORNING)
     out = folder / "packed"
-    portable.begin(out, options, parts)
-    files = [one for part in parts for one in portable.bring(archive, out, options, part, checker)]
-    portable.finish(catalogue, archive, out, options, files, MORNING)
+    packing.begin(out, options, parts)
+    files = [one for part in parts for one in packing.bring(archive, out, options, part, checker)]
+    packing.finish(catalogue, archive, out, options, files, MORNING)
     catalogue.close()
     return out
 
@@ -154,8 +150,8 @@ def packed(folder: Path, number: int, checker: Checker) -> Path:
 def unpack(
     catalogue: Catalogue, archive: Archive, folder: Path, now: datetime, checker: Checker
 ) -> list[str]:
-    manifest = portable_import.manifest_of(folder)
-    done = portable_import.enter(catalogue, archive, folder, manifest, now, checker=checker)
+    manifest = unpacking.manifest_of(folder)
+    done = unpacking.enter(catalogue, archive, folder, manifest, now, checker=checker)
     return [f"{one.outcome} {one.detail}".strip() for one in done]
 
 
@@ -385,8 +381,8 @@ def test_an_unpacking_that_was_interrupted_comes_to_the_same_decisions(
     catalogue: Catalogue, archive: Archive, clock: Clock, tmp_path: Path, checker: Checker
 ) -> None:
     folder = packed(tmp_path, 1, checker)
-    manifest = portable_import.manifest_of(folder)
-    begun = portable_import.enter(catalogue, archive, folder, manifest, clock(), checker=checker)
+    manifest = unpacking.manifest_of(folder)
+    begun = unpacking.enter(catalogue, archive, folder, manifest, clock(), checker=checker)
     next(begun)  # the campaign is known, and nothing else of the folder yet
     begun.close()
     assert set(unpack(catalogue, archive, folder, clock(), checker)) == {"indexed"}

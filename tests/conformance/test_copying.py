@@ -27,10 +27,11 @@ from sms_jobs.catalogue.models import (
     written_tables,
 )
 from sms_jobs.errors import ConfigurationError, Conflict, OtherFormat
-from sms_jobs.jobs import lifecycle, queues, schedules
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.schedules import Order
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.running import lifecycle, queues
+from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling.fire_times import parse_expression
+from sms_jobs.jobs.scheduling.schedules import Order
 
 
 def rows(catalogue: Catalogue) -> dict[str, list[tuple[Any, ...]]]:

@@ -10,7 +10,7 @@ from support.jobs import NOW, claim, submit_pipeline
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.campaigns import Definitions
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import lifecycle
+from sms_jobs.jobs.running import lifecycle
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState
 

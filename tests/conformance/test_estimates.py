@@ -16,11 +16,11 @@ from support.jobs import JOBS, NOW, accept_calibration, submit_pipeline
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, WorkerRow
-from sms_jobs.jobs import queues, recovery
-from sms_jobs.jobs.chosen import named
-from sms_jobs.jobs.estimates import estimate, pace
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.estimates import estimate, pace
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import queues, recovery
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -15,8 +15,8 @@ from support.jobs import add_event
 from support.over_http import app_of, listening, served
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.work import jobs
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.following import Follower, Listener
 

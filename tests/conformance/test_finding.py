@@ -21,10 +21,8 @@ from support.jobs import NOW
 
 from sms_jobs import bootstrap
 from sms_jobs.app.row_tables import write_parquet
-from sms_jobs.bench import large_catalogue
-from sms_jobs.catalogue import finding, saved_queries
+from sms_jobs.bench.large import many_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.finding import find_page, restricted
 from sms_jobs.catalogue.models import (
     CalibrationRow,
     CalibrationUseRow,
@@ -35,14 +33,17 @@ from sms_jobs.catalogue.models import (
     ReadingRow,
     StatisticRow,
 )
-from sms_jobs.catalogue.query_fields import Vocabulary
-from sms_jobs.catalogue.query_language import parse
+from sms_jobs.catalogue.queries import files as query_files
+from sms_jobs.catalogue.queries import saved
+from sms_jobs.catalogue.queries.fields import Vocabulary
+from sms_jobs.catalogue.queries.files import find_page, restricted
+from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.records.shown.files import Page
 
-KINDS = frozenset({*large_catalogue.KINDS, "calibration", "report"})
-KNOWN = Vocabulary(lambda: (KINDS, large_catalogue.PARAMETERS))
+KINDS = frozenset({*many_files.KINDS, "calibration", "report"})
+KNOWN = Vocabulary(lambda: (KINDS, many_files.PARAMETERS))
 LARGE = {"file", "statistic", "reading", "job", "measurement", "result", "calibration_use", "provenance"}
 
 
@@ -180,11 +181,11 @@ QUESTIONS: list[tuple[str, Callable[[Plain], bool]]] = [
 def test_the_answers_are_those_of_looking_at_every_file(
     catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    large_catalogue.fill(catalogue, 3200)
+    many_files.fill(catalogue, 3200)
     files = everything(catalogue)
     assert len(files) == 3200
-    for few in (finding.FEW, -1):  # with the indexes of what is asked, and along that of all files
-        monkeypatch.setattr(finding, "FEW", few)
+    for few in (query_files.FEW, -1):  # with the indexes of what is asked, and along that of all files
+        monkeypatch.setattr(query_files, "FEW", few)
         for text, meets in QUESTIONS:
             expected = sorted((f.id for f in files if meets(f)), reverse=True)
             page = ask(catalogue, text, limit=5000)
@@ -229,10 +230,10 @@ def test_a_day_lasts_from_midnight_to_midnight(catalogue: Catalogue) -> None:
 def test_pages_make_up_the_whole_and_nothing_comes_twice(
     catalogue: Catalogue, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    large_catalogue.fill(catalogue, 640)
+    many_files.fill(catalogue, 640)
     whole = [one.file.id for one in ask(catalogue, text, limit=1000).found]
-    for few in (finding.FEW, -1):
-        monkeypatch.setattr(finding, "FEW", few)
+    for few in (query_files.FEW, -1):
+        monkeypatch.setattr(query_files, "FEW", few)
         pages, after = [], None
         while True:
             page = ask(catalogue, text, limit=37, after=after)
@@ -245,10 +246,10 @@ def test_pages_make_up_the_whole_and_nothing_comes_twice(
 
 
 def test_the_documented_queries_look_at_no_whole_table(catalogue: Catalogue) -> None:
-    large_catalogue.fill(catalogue, 20_000)
+    many_files.fill(catalogue, 20_000)
     done: list[tuple[str, Any]] = []
     event.listen(catalogue.engine, "before_cursor_execute", lambda *call: done.append((call[2], call[3])))
-    for text in large_catalogue.DOCUMENTED:
+    for text in many_files.DOCUMENTED:
         done.clear()
         with catalogue.reading() as session:
             find_page(session, parse(text), KNOWN)
@@ -295,13 +296,13 @@ def whole_tables(session: Any, dialect: str, sql: str, values: Any) -> set[str]:
     ],
 )
 def test_what_cannot_be_asked_is_pointed_at(catalogue: Catalogue, text: str, words: str) -> None:
-    large_catalogue.fill(catalogue, 64)
+    many_files.fill(catalogue, 64)
     with pytest.raises(InvalidInput, match=words):
         ask(catalogue, text)
 
 
 def test_calibrations_are_a_column(catalogue: Catalogue) -> None:
-    large_catalogue.fill(catalogue, 64)
+    many_files.fill(catalogue, 64)
     with catalogue.writing() as session:
         session.add(
             FileRow(
@@ -323,7 +324,7 @@ def test_calibrations_are_a_column(catalogue: Catalogue) -> None:
 
 
 def test_what_does_not_exist_is_said(catalogue: Catalogue) -> None:
-    large_catalogue.fill(catalogue, 64)
+    many_files.fill(catalogue, 64)
     with pytest.raises(NotFound, match="no campaign 'wing'; the latest are c00000"):
         ask(catalogue, "campaign = wing")
     with pytest.raises(NotFound, match="no calibration 7"):
@@ -331,7 +332,7 @@ def test_what_does_not_exist_is_said(catalogue: Catalogue) -> None:
 
 
 def test_options_and_query_have_both_to_be_met(catalogue: Catalogue) -> None:
-    large_catalogue.fill(catalogue, 640)
+    many_files.fill(catalogue, 640)
     asked = restricted(
         parse("load_kN > 0 or load_kN <= 0"), kind="strain", campaign="c00000", state="S01", view="C1P2"
     )
@@ -346,10 +347,10 @@ def test_options_and_query_have_both_to_be_met(catalogue: Catalogue) -> None:
 
 
 def test_queries_are_kept_under_a_name(catalogue: Catalogue) -> None:
-    large_catalogue.fill(catalogue, 64)
+    many_files.fill(catalogue, 64)
     text = "strain where load_kN > 1400"
     with catalogue.writing() as session:
-        saved_queries.save(session, "heavy", text, NOW, KNOWN)
+        saved.save(session, "heavy", text, NOW, KNOWN)
         refused: list[tuple[str, str, type[SmsError]]] = [
             ("heavy", "strain", Conflict),
             ("a b", "strain", InvalidInput),
@@ -357,14 +358,14 @@ def test_queries_are_kept_under_a_name(catalogue: Catalogue) -> None:
         ]
         for name, other, error in refused:
             with pytest.raises(error):
-                saved_queries.save(session, name, other, NOW, KNOWN)
+                saved.save(session, name, other, NOW, KNOWN)
     with catalogue.writing() as session:
-        assert [q.text for q in saved_queries.saved(session)] == [text]
-        saved_queries.save(session, "heavy", "strain", NOW, KNOWN, replace=True)
-        assert saved_queries.text_of(session, "heavy") == "strain"
-        saved_queries.remove(session, "heavy")
+        assert [q.text for q in saved.saved(session)] == [text]
+        saved.save(session, "heavy", "strain", NOW, KNOWN, replace=True)
+        assert saved.text_of(session, "heavy") == "strain"
+        saved.remove(session, "heavy")
         with pytest.raises(NotFound, match="no saved query 'heavy'; none is saved yet"):
-            saved_queries.remove(session, "heavy")
+            saved.remove(session, "heavy")
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -20,10 +20,8 @@ from support.jobs import NOW
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.bench import large_catalogue
+from sms_jobs.bench.large import many_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.finding import restricted
-from sms_jobs.catalogue.finding_states import find_page
 from sms_jobs.catalogue.models import (
     CampaignRow,
     ChannelRow,
@@ -33,12 +31,14 @@ from sms_jobs.catalogue.models import (
     ReadingRow,
     StatisticRow,
 )
-from sms_jobs.catalogue.query_fields import Vocabulary
-from sms_jobs.catalogue.query_language import parse
+from sms_jobs.catalogue.queries.fields import Vocabulary
+from sms_jobs.catalogue.queries.files import restricted
+from sms_jobs.catalogue.queries.language import parse
+from sms_jobs.catalogue.queries.states import find_page
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.states import FoundState, StatePage
 
-KNOWN = Vocabulary(lambda: (frozenset({*large_catalogue.KINDS, "merge"}), large_catalogue.PARAMETERS))
+KNOWN = Vocabulary(lambda: (frozenset({*many_files.KINDS, "merge"}), many_files.PARAMETERS))
 NAN = float("nan")
 
 
@@ -161,7 +161,7 @@ def changed(catalogue: Catalogue) -> None:
 
 @pytest.fixture
 def filled(catalogue: Catalogue) -> Catalogue:
-    large_catalogue.fill(catalogue, 2000)  # the second campaign has states without files
+    many_files.fill(catalogue, 2000)  # the second campaign has states without files
     changed(catalogue)
     return catalogue
 

@@ -12,9 +12,9 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, SavedQueryRow
 from sms_jobs.errors import CommitInDoubt, ServerUnreachable
-from sms_jobs.jobs import recovery
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import recovery
 from sms_jobs.records.job import JobState
 
 on_postgresql = pytest.mark.parametrize("deployment", ["grown"], indirect=True)

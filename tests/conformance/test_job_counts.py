@@ -12,12 +12,14 @@ from sqlalchemy import delete, func, insert, select, text, update
 from support.deployments import Deployment
 from support.jobs import JOBS, NOW, claim, submit_pipeline
 
-from sms_jobs.app import database
+from sms_jobs.app.home import database
 from sms_jobs.catalogue import job_counts, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, EventRow, JobCountRow, JobRow, OutboxRow
-from sms_jobs.jobs import health, inquiry, lifecycle
-from sms_jobs.jobs.chosen import Chosen
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.monitoring import health
+from sms_jobs.jobs.planning.chosen import Chosen
+from sms_jobs.jobs.running import lifecycle
 from sms_jobs.records.job import JobState
 
 

@@ -12,9 +12,10 @@ from support.statements import heard
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, JobRow
-from sms_jobs.jobs import inquiry, lifecycle
-from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import estimate
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.chosen import Chosen
+from sms_jobs.jobs.planning.estimates import estimate
+from sms_jobs.jobs.running import lifecycle
 from sms_jobs.records.job import JobState
 
 

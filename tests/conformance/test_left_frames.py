@@ -9,7 +9,8 @@ import pytest
 from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import left_frames, lifecycle, orders
+from sms_jobs.jobs.recording import left_frames
+from sms_jobs.jobs.running import lifecycle, orders
 from sms_jobs.records.job import JobState
 
 DAY = timedelta(days=1)

@@ -13,7 +13,8 @@ from support.jobs import JOBS, NOW, claim, events, ids, state, submit_pipeline
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, OutboxRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost
-from sms_jobs.jobs import doorbell, inquiry, lifecycle, orders, queues, recovery
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.running import doorbell, lifecycle, orders, queues, recovery
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 
 

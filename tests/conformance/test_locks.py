@@ -13,8 +13,10 @@ from support.jobs import NOW, claim, events, state, submit_pipeline
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobDeviceRow, JobRow, LockRow
 from sms_jobs.errors import Conflict, DevicesBusy, LeaseLost, NotFound
-from sms_jobs.jobs import inquiry, lifecycle, locks, recovery
-from sms_jobs.jobs.lifecycle import Claim
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.devices import locks
+from sms_jobs.jobs.running import lifecycle, recovery
+from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.records.job import JobState
 
 LEASE = timedelta(seconds=30)

@@ -12,18 +12,20 @@ from support.jobs import NOW, claim, events
 from support.people import SOMEBODY
 from support.statements import heard
 
-from sms_jobs.app.waiting import wait_for
+from sms_jobs.app.work.waiting import wait_for
 from sms_jobs.archive import Archive, MemoryStore
-from sms_jobs.bench import large_queue
-from sms_jobs.bench.large_queue import SECONDS, fill_queue, name_of
+from sms_jobs.bench.large import many_jobs
+from sms_jobs.bench.large.many_jobs import SECONDS, fill_queue, name_of
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.errors import InvalidInput, WaitTimedOut
-from sms_jobs.jobs import chosen, coming, crowds, doorbell, inquiry, lifecycle, queues, recovery
-from sms_jobs.jobs.chosen import Chosen
-from sms_jobs.jobs.estimates import estimate, outlook
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning import chosen, coming
+from sms_jobs.jobs.planning.chosen import Chosen
+from sms_jobs.jobs.planning.estimates import estimate, outlook
+from sms_jobs.jobs.running import crowds, doorbell, lifecycle, queues, recovery
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.estimates import Outlook
 from sms_jobs.settings import Settings
@@ -172,7 +174,7 @@ def test_too_many_names_are_refused() -> None:
 def test_campaigns_are_listed_by_a_few_statements(
     catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(large_queue, "CAMPAIGN", 16)
+    monkeypatch.setattr(many_jobs, "CAMPAIGN", 16)
     fill_queue(catalogue, 20, NOW - timedelta(days=3))
     with catalogue.reading() as session, heard(catalogue) as found:
         listed = inquiry.list_campaigns(session, 50)

@@ -21,12 +21,14 @@ from sms_jobs.archive import Archive
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.catalogue.people_tables import NotificationRow, OccurrenceRow, SubscriptionRow
-from sms_jobs.jobs import deliveries, lifecycle, notices, queues, schedules
-from sms_jobs.jobs.deliveries import Delivery
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.schedules import Order
+from sms_jobs.catalogue.tables.people import NotificationRow, OccurrenceRow, SubscriptionRow
+from sms_jobs.jobs.notifying import deliveries, notices
+from sms_jobs.jobs.notifying.deliveries import Delivery
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.running import lifecycle, queues
+from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling.fire_times import parse_expression
+from sms_jobs.jobs.scheduling.schedules import Order
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.notifications import Address, SentView, Topic
 from sms_jobs.settings import Settings

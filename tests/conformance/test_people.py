@@ -16,9 +16,9 @@ from sqlalchemy import select, update
 from support.deployments import Deployment
 
 from sms_jobs import bootstrap
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.people_tables import AccessRow, AuditRow, PersonRow
+from sms_jobs.catalogue.tables.people import AccessRow, AuditRow, PersonRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound
 from sms_jobs.records.people import ANONYMOUS, Actor, Role
 

@@ -13,9 +13,11 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.errors import PlanOutdated
-from sms_jobs.jobs import inquiry, lifecycle, retention
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import Draft, draft, enter, submit_to
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.keeping import retention
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import Draft, draft, enter, submit_to
+from sms_jobs.jobs.running import lifecycle
 from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -125,8 +127,8 @@ def test_a_file_that_is_gone_is_not_referred_to(catalogue: Catalogue) -> None:
 
 
 def test_a_dry_run_tells_what_the_submission_would(catalogue: Catalogue) -> None:
-    from sms_jobs.jobs.chosen import submitted
-    from sms_jobs.jobs.estimates import estimate, estimate_planned
+    from sms_jobs.jobs.planning.chosen import submitted
+    from sms_jobs.jobs.planning.estimates import estimate, estimate_planned
 
     ids = submit_pipeline(catalogue)
     with catalogue.writing() as session:

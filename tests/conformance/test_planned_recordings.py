@@ -15,12 +15,12 @@ from support.jobs import NOW
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.catalogue.planned_tables import PlannedRecordingRow
+from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
-from sms_jobs.jobs import due_recordings, planned_recordings, watched_rigs
-from sms_jobs.jobs.due_recordings import Due
-from sms_jobs.jobs.recordings import requests
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.recording import due_recordings, planned_recordings, watched_rigs
+from sms_jobs.jobs.recording.due_recordings import Due
+from sms_jobs.jobs.recording.recordings import requests
 from sms_jobs.records import triggers
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import JobState

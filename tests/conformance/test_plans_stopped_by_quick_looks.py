@@ -13,8 +13,8 @@ from support.jobs import NOW, add_calibration_file
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
-from sms_jobs.catalogue.people_tables import OccurrenceRow
-from sms_jobs.jobs import due_recordings, planned_recordings, quick_looks
+from sms_jobs.catalogue.tables.people import OccurrenceRow
+from sms_jobs.jobs.recording import due_recordings, planned_recordings, quick_looks
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.gauge_limits import GaugeLimit, Look
 from sms_jobs.records.job import JobState

@@ -17,7 +17,7 @@ from support.jobs import submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow, OutboxRow, WorkerRow
-from sms_jobs.jobs import doorbell, queues, recovery
+from sms_jobs.jobs.running import doorbell, queues, recovery
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.settings import Settings
 from sms_jobs.workers.celery_app import make_app, message_queue

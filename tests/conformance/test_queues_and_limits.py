@@ -11,9 +11,10 @@ from support.jobs import NOW, claim, ids, state, submit_pipeline
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import Cancelled, Conflict, OverLimit
-from sms_jobs.jobs import inquiry, lifecycle, limits, orders, queues, recovery
-from sms_jobs.jobs.chosen import named
-from sms_jobs.jobs.limits import Force, Limits, Watch
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.running import lifecycle, limits, orders, queues, recovery
+from sms_jobs.jobs.running.limits import Force, Limits, Watch
 from sms_jobs.records.job import JobState
 
 GRACE = timedelta(seconds=15)

@@ -9,18 +9,18 @@ from sqlalchemy import select
 from support.archives import Clock, everything, rebuilt, registered, run_jobs, work_again
 from support.deployments import Deployment
 
-from sms_jobs.app.finding import vocabulary
+from sms_jobs.app.holdings.finding import vocabulary
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.finding import find_page
 from sms_jobs.catalogue.models import FileRow, MeasurementRow
-from sms_jobs.catalogue.query_language import parse
+from sms_jobs.catalogue.queries.files import find_page
+from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.formats.importers.readings import Reading
-from sms_jobs.jobs import retention
-from sms_jobs.jobs.importing import amend_campaign, with_readings
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.stations import Stations
+from sms_jobs.jobs.archiving.importing import amend_campaign, with_readings
+from sms_jobs.jobs.devices.stations import Stations
+from sms_jobs.jobs.keeping import retention
+from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.records.shown.files import Page
 
 RIG = """

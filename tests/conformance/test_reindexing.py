@@ -17,11 +17,11 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.formats.importers.readings import Reading
-from sms_jobs.jobs import reindexing
-from sms_jobs.jobs.importing import amend_campaign, with_readings, with_states
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import defined, register_calibration
-from sms_jobs.jobs.reindexing import Reindexed
+from sms_jobs.jobs.archiving.importing import amend_campaign, with_readings, with_states
+from sms_jobs.jobs.archiving.registration import defined, register_calibration
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.rebuilding import reindexing
+from sms_jobs.jobs.rebuilding.reindexing import Reindexed
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -12,9 +12,9 @@ from support.deployments import Deployment
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import repair, retention, verification
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.repair import Repair
+from sms_jobs.jobs.keeping import repair, retention, verification
+from sms_jobs.jobs.keeping.repair import Repair
+from sms_jobs.jobs.planning.graph import Request
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.jobs import retention, verification
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.keeping import retention, verification
+from sms_jobs.jobs.planning.graph import Request
 
 SECOND = timedelta(seconds=1)
 

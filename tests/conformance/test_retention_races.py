@@ -28,7 +28,9 @@ from sms_jobs.catalogue.models import (
     RigRow,
 )
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.jobs import lifecycle, retention, reuse
+from sms_jobs.jobs.keeping import retention
+from sms_jobs.jobs.results import reuse
+from sms_jobs.jobs.running import lifecycle
 from sms_jobs.records.job import JobState
 
 LATER = NOW + timedelta(days=2)

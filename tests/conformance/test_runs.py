@@ -15,14 +15,16 @@ from support.homes import make_home
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
-from sms_jobs.app import found_work, jobs, reading, run_comparison, runs, schedules
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.holdings import reading
+from sms_jobs.app.work import found_work, jobs, run_comparison, runs, schedules
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
-from sms_jobs.jobs import recovery, retention
-from sms_jobs.jobs import schedules as scheduling
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.keeping import retention
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.scheduling import schedules as scheduling
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.shown.runs import Difference
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -11,12 +11,13 @@ from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.catalogue.schedule_tables import ScheduleFireRow
+from sms_jobs.catalogue.tables.schedules import ScheduleFireRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
-from sms_jobs.jobs import inquiry, schedules
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.schedules import Fired, MissedFire, Order
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling.fire_times import parse_expression
+from sms_jobs.jobs.scheduling.schedules import Fired, MissedFire, Order
 from sms_jobs.records.job import JobState
 
 HOUR = timedelta(hours=1)

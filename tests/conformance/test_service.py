@@ -11,7 +11,7 @@ from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import JOBS
 
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs.asking import inquiry
 
 
 def submit_all(deployment: Deployment) -> list[str]:

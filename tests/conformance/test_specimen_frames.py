@@ -13,13 +13,13 @@ from support.command import inside
 from support.deployments import Deployment
 
 from sms_jobs import bootstrap
-from sms_jobs.app import reading
+from sms_jobs.app.holdings import reading
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import NotFound
-from sms_jobs.jobs import campaign_matrix
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.asking import campaign_matrix
+from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.subject import Subject
 

@@ -10,8 +10,8 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.jobs import campaign_matrix, inquiry
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.asking import campaign_matrix, inquiry
+from sms_jobs.jobs.planning.graph import Request
 
 KINDS = ("simulate", "reconstruct", "correlate", "strain", "merge")
 

@@ -9,7 +9,6 @@ from support.command import inside
 from support.deployments import Deployment
 from support.homes import make_home
 
-from sms_jobs.bench import large_catalogue
 from sms_jobs.catalogue import upkeep
 from sms_jobs.catalogue.database import Catalogue
 
@@ -26,7 +25,7 @@ def looked_at(catalogue: Catalogue) -> set[str]:
 
 def test_what_has_been_filled_is_looked_at(catalogue: Catalogue) -> None:
     assert looked_at(catalogue) & {"file", "statistic", "job"} == set()
-    large_catalogue.fill(catalogue, 640)
+    catalogue.fill(catalogue, 640)
     assert {"file", "statistic", "job"} <= looked_at(catalogue)
     upkeep.analyse(catalogue)  # again, while it is in use
     assert {"file", "statistic", "job"} <= looked_at(catalogue)

@@ -14,8 +14,8 @@ from support.homes import make_home
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import NotFound
-from sms_jobs.jobs import verification
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.keeping import verification
+from sms_jobs.jobs.planning.graph import Request
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from support.deployments import Deployment
 from support.jobs import NOW
 
 from sms_jobs import bootstrap
-from sms_jobs.bench.large_queue import CAMPAIGN, fill_queue, name_of
-from sms_jobs.jobs import inquiry
+from sms_jobs.bench.large.many_jobs import CAMPAIGN, fill_queue, name_of
+from sms_jobs.jobs.asking import inquiry
 
 ACTIVE = 200_000
 """Thrice as many as PostgreSQL takes values in a statement."""

@@ -10,12 +10,12 @@ from support.deployments import Deployment
 from support.homes import make_home
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs, queues
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.work import jobs, queues
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
-from sms_jobs.jobs import lifecycle, recovery
-from sms_jobs.jobs import schedules as scheduling
-from sms_jobs.jobs.schedules import Order
+from sms_jobs.jobs.running import lifecycle, recovery
+from sms_jobs.jobs.scheduling import schedules as scheduling
+from sms_jobs.jobs.scheduling.schedules import Order
 from sms_jobs.records.people import Actor, Role
 
 WORK = Work("plate", ("simulate",))

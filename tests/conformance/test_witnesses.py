@@ -11,10 +11,10 @@ from support.jobs import NOW, claim, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.jobs import lifecycle, recovery
-from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.jobs.origin import Origin
-from sms_jobs.jobs.witness import Witness
+from sms_jobs.jobs.running import lifecycle, recovery
+from sms_jobs.jobs.running.lifecycle import Claim
+from sms_jobs.jobs.running.origin import Origin
+from sms_jobs.jobs.running.witness import Witness
 from sms_jobs.records.job import JobState
 
 QUEUES = ["cpu", "io", "acquisition"]

@@ -13,8 +13,8 @@ from support.over_http import app_of, listening, served
 from support.servers import PostgresqlServer
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.work import jobs
+from sms_jobs.app.work.jobs import Work
 
 
 @pytest.mark.parametrize("away_s", [3.0, pytest.param(30.0, marks=pytest.mark.long)])

@@ -22,9 +22,11 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
-from sms_jobs.jobs import inquiry, recovery, verification
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.keeping import verification
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import recovery
 from sms_jobs.records.job import JobState
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch

@@ -16,9 +16,9 @@ from support.homes import make_home
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.jobs import orders, queues
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import orders, queues
 from sms_jobs.records.job import ACTIVE, JobState
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sms_jobs.bench.killed_plan import Day, KilledPlan
+from sms_jobs.bench.recorded.killed_plan import Day, KilledPlan
 
 
 @pytest.fixture(params=["embedded", "grown"])

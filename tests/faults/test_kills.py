@@ -15,11 +15,11 @@ from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import events
 
-from sms_jobs.bench.kill_campaign import KillCampaign, Outcome, plan
+from sms_jobs.bench.recorded.kill_campaign import KillCampaign, Outcome, plan
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import inquiry
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.records.job import JobState
 
 LONGEST_STALL_S = 30.0

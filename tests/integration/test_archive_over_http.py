@@ -24,7 +24,7 @@ from zarr.core.buffer import Buffer, BufferPrototype
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.planning.graph import Request
 
 
 @pytest.fixture(scope="module")

@@ -24,10 +24,12 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
-from sms_jobs.jobs import backups, inquiry, recovery, verification
-from sms_jobs.jobs.chosen import named
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.keeping import backups, verification
+from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import recovery
 from sms_jobs.records.job import JobState
 
 ROOT = Path(__file__).resolve().parents[2]

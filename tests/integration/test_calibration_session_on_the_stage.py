@@ -20,7 +20,7 @@ from support.command import SMS, answer, service, sms
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.models import FileRow
-from sms_jobs.jobs.calibrations import known_calibration
+from sms_jobs.jobs.archiving.calibrations import known_calibration
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import Measurement

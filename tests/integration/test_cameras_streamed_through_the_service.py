@@ -18,12 +18,12 @@ import pytest
 from support.command import answer, service, sms, wait_until
 
 from sms_jobs import bootstrap
-from sms_jobs.app import campaigns
+from sms_jobs.app.specimens import campaigns
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.instruments.kept_streams import frames_path
 from sms_jobs.instruments.spool import Spooled
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.recording import FramesBetween, Recording
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig

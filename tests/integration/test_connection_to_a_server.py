@@ -19,7 +19,7 @@ from support.serving import free_port, serving
 
 import sms_jobs
 from sms_jobs import bootstrap
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.errors import (
     CommitInDoubt,
     ConfigurationError,

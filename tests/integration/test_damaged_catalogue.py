@@ -20,7 +20,7 @@ from sms_jobs.catalogue import renewal
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli import archive as command
 from sms_jobs.errors import CatalogueEmpty, Conflict
-from sms_jobs.jobs import inquiry
+from sms_jobs.jobs.asking import inquiry
 
 
 def scribble(file: Path, start: int, size: int) -> None:

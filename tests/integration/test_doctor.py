@@ -29,13 +29,14 @@ from support.places import mounted
 from support.servers import RedisServer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.doctor import Examined, examine
+from sms_jobs.app.home.doctor import Examined, examine
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.jobs import health, lifecycle, liveness, queues, recovery
-from sms_jobs.jobs.origin import Origin, started_at
+from sms_jobs.jobs.monitoring import health
+from sms_jobs.jobs.running import lifecycle, liveness, queues, recovery
+from sms_jobs.jobs.running.origin import Origin, started_at
 from sms_jobs.settings import Settings
 from sms_jobs.workers import broker
 

@@ -27,10 +27,11 @@ from support.homes import make_home
 from support.places import mounted
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.jobs import health, queues, recovery
-from sms_jobs.jobs.origin import Origin, started_at
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.monitoring import health
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import queues, recovery
+from sms_jobs.jobs.running.origin import Origin, started_at
 
 WITHIN = timedelta(seconds=60)
 HOST = socket.gethostname()

@@ -16,7 +16,7 @@ from support.command import answer, service, sms
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.models import FileRow
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.scene import Rigid, UniaxialStrain
 from sms_jobs.records.sensors import Rig

@@ -13,7 +13,7 @@ from support.homes import make_home
 from support.over_http import API, app_of, served
 
 from sms_jobs import bootstrap
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.records.people import RIGHTS, Actor, Right, Role
 
 _NOTHING_OF_THE_HOME = {("get", "")}

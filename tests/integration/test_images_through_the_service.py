@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from support.command import answer, service, sms
 
-from sms_jobs.bench.speckle_pairs import Floats, speckle_pair
+from sms_jobs.bench.correlated.speckle_pairs import Floats, speckle_pair
 
 USAGE = 2
 SIZE = 128

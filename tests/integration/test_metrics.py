@@ -24,15 +24,16 @@ from support.deployments import Deployment
 from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs import bootstrap
-from sms_jobs.app.service import metrics
+from sms_jobs.app.home.service import metrics
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import WorkerRow
-from sms_jobs.jobs import lifecycle, orders, queues, recovery, schedules
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.metrics import gather
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.schedules import Order
+from sms_jobs.jobs.monitoring.metrics import gather
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.running import lifecycle, orders, queues, recovery
+from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling.fire_times import parse_expression
+from sms_jobs.jobs.scheduling.schedules import Order
 from sms_jobs.records.job import JobState
 
 _SAMPLE = re.compile(r'([a-z_]+)(\{(?:[a-z]+="(?:[^"\\]|\\.)*",?)+\})? (\S+)')

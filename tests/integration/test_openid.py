@@ -15,8 +15,8 @@ from support.identity_provider import CLIENT, SECRET, Provider, provider
 from support.people import SOMEBODY
 
 from sms_jobs import bootstrap
-from sms_jobs.app import openid, people
-from sms_jobs.app.people import LoggedIn
+from sms_jobs.app.accounts import openid, people
+from sms_jobs.app.accounts.people import LoggedIn
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import ConfigurationError, Conflict, NotAllowed, ServerUnreachable
 from sms_jobs.records.people import Role

@@ -17,7 +17,7 @@ from support.over_http import app_of, served
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.instruments.spool import SpoolHeader, SpoolWriter
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig
 

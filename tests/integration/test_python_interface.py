@@ -17,11 +17,11 @@ from support.serving import serving
 
 import sms_jobs
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs
+from sms_jobs.app.work import jobs
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import ConfigurationError, InvalidInput, JobFailed, NotFound, WaitTimedOut
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.lab import Lab
 from sms_jobs.records.reasons import Reason
 

@@ -18,10 +18,11 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.instruments.spool import Spooled
-from sms_jobs.jobs import locks, recordings
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.devices import locks
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.recording import recordings
 from sms_jobs.records.job import JobState
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.recording import InterruptedRecording, Recording

@@ -20,12 +20,12 @@ from support.command import answer, inside
 from support.receivers import MailServer, certificate, running, tls, webhook
 
 from sms_jobs import bootstrap
-from sms_jobs.app import notifications
+from sms_jobs.app.accounts import notifications
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.people_tables import AuditRow
+from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.errors import ConfigurationError, Conflict, InvalidInput, NotAllowed, NotDelivered, NotFound
-from sms_jobs.jobs import sending
-from sms_jobs.jobs.deliveries import Delivery
+from sms_jobs.jobs.notifying import sending
+from sms_jobs.jobs.notifying.deliveries import Delivery
 from sms_jobs.records.people import Actor, Role
 from sms_jobs.records.shown.notifications import Address, Notification, Topic
 from sms_jobs.settings import Settings

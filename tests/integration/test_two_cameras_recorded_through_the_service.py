@@ -14,7 +14,7 @@ from support.command import answer, service, sms
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import InterruptedRecording, Recording
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig

@@ -20,7 +20,7 @@ from support.spools import complete_frames
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Rig

@@ -40,12 +40,16 @@ from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, ProvenanceRow, written_tables
 from sms_jobs.errors import NotFound
-from sms_jobs.jobs import indexing, lifecycle, recovery, reindexing, repair, retention, reuse, verification
-from sms_jobs.jobs.indexing import Entry
-from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.repository import Repository
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving import indexing
+from sms_jobs.jobs.archiving.indexing import Entry
+from sms_jobs.jobs.archiving.repository import Repository
+from sms_jobs.jobs.keeping import repair, retention, verification
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.rebuilding import reindexing
+from sms_jobs.jobs.results import reuse
+from sms_jobs.jobs.running import lifecycle, recovery
+from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.job import JobState

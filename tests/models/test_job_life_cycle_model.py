@@ -33,12 +33,14 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE, InputReference, Sealed
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
-from sms_jobs.jobs import doorbell, indexing, lifecycle, orders, queues, recovery, reuse
-from sms_jobs.jobs.chosen import named
-from sms_jobs.jobs.indexing import Entry
-from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving import indexing
+from sms_jobs.jobs.archiving.indexing import Entry
+from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.results import reuse
+from sms_jobs.jobs.running import doorbell, lifecycle, orders, queues, recovery
+from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, UNSUCCESSFUL, JobState

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.metrology.deformation.strain import surface_strain
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 ANGLE = st.floats(-3.0, 3.0)
 

@@ -32,12 +32,13 @@ from sms_jobs.catalogue.models import (
     StatisticRow,
     Table,
 )
-from sms_jobs.jobs import recovery, reindexing
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.runner import Runner
-from sms_jobs.jobs.stations import Stations
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.devices.stations import Stations
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.rebuilding import reindexing
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.running.runner import Runner
 from sms_jobs.virtual_rig.campaigns import small_plate
 from support.remembered import Remembering
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from sms_jobs.metrology.calibration.board_views import BoardView
-from sms_jobs.metrology.calibration.bundle_problem import (
+from sms_jobs.metrology.calibration.bundle.problem import (
     BoardPoints,
     BoardPose,
     BundleBoard,
     BundleProblem,
     BundleSensor,
 )
-from sms_jobs.metrology.calibration.initialisation import InitialCalibration
+from sms_jobs.metrology.calibration.starting.initialisation import InitialCalibration
 from sms_jobs.metrology.geometry.lens import KEPT
 
 

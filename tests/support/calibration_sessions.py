@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.bench.in_memory import InMemory, unheard
 from sms_jobs.kinds.calibration import calibrate, calibrate_boards, observe_bar, observe_board
 from sms_jobs.kinds.calibration.sessions import bar_states, board_states, every_view
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs
@@ -27,6 +26,7 @@ from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration, Rig
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
+from sms_jobs.testing.in_memory import InMemory, unheard
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_board
 from sms_jobs.virtual_rig.artefacts import bar_centres
 from sms_jobs.virtual_rig.sessions import small_session

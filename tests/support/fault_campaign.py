@@ -27,12 +27,12 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow, OutboxRow
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import recovery
-from sms_jobs.jobs.origin import Origin
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.submission import submit
-from sms_jobs.jobs.witness import Witness
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.running.origin import Origin
+from sms_jobs.jobs.running.witness import Witness
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 from support.command import SMS, kill_all, sms, wait_until

@@ -17,8 +17,8 @@ from sqlalchemy import delete, select
 from sms_jobs.catalogue import campaigns, job_counts
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, FileRow, JobCountRow, JobRow, OutboxRow, written_tables
-from sms_jobs.jobs import recovery
-from sms_jobs.jobs.lifecycle import Claim
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import TRANSITIONS, UNSUCCESSFUL, JobState
 from sms_jobs.records.subject import Subject

@@ -10,10 +10,11 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow
-from sms_jobs.jobs import inquiry, lifecycle
-from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.jobs.planning import Existing, Request, plan
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.graph import Existing, Request, plan
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import lifecycle
+from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.job import JobState

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, PreparedImages
-from sms_jobs.metrology.deformation.displacement import ImagePoints, blend_matches
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.fields.displacement import ImagePoints, blend_matches
+from sms_jobs.metrology.deformation.matching.correlation import CONVERGED, MatchSettings, PreparedImages
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
@@ -18,6 +17,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

@@ -11,9 +11,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from sms_jobs.jobs import reuse
-from sms_jobs.jobs.lifecycle import Claim
-from sms_jobs.jobs.runner import Runner
+from sms_jobs.jobs.results import reuse
+from sms_jobs.jobs.running.lifecycle import Claim
+from sms_jobs.jobs.running.runner import Runner
 from sms_jobs.kinds.kind import DatasetOutput, DocumentOutput, Inputs, Kind, Output, Progress
 from sms_jobs.records.measurement import ArrayStack, FrameStack, Measurement
 

@@ -13,8 +13,9 @@ from support.homes import make_home
 from support.over_http import app_of, served
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs, people
-from sms_jobs.app.jobs import Work
+from sms_jobs.app.accounts import people
+from sms_jobs.app.work import jobs
+from sms_jobs.app.work.jobs import Work
 from sms_jobs.records.people import RIGHTS, Role
 from sms_jobs.web.console import PAGE_RULES, subjects
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.gauge_points import (
+from sms_jobs.metrology.deformation.strain.gauge_points import (
     MovedPoint,
     SparseSurface,
     extension,

@@ -62,7 +62,9 @@ def test_nothing_is_left_for_later(path: Path) -> None:
 
 def test_nobody_goes_around_the_archive() -> None:
     # Who is given a folder may open it as a store: the settings, a backup, somebody's files, a benchmark.
-    opening = {f"sms_jobs/{name}.py" for name in ("bootstrap", "jobs/backups", "jobs/portable_import")}
+    opening = {
+        f"sms_jobs/{name}.py" for name in ("bootstrap", "jobs/keeping/backups", "jobs/portable/unpacking")
+    }
     stores = {store.__name__ for store in Store.__subclasses__()}
     opened, asked = set(), []
     for path in SOURCES:

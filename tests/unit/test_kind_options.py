@@ -7,7 +7,7 @@ import re
 import pytest
 from support.command import inside
 
-from sms_jobs.app.kinds import KindView, kinds
+from sms_jobs.app.work.kinds import KindView, kinds
 from sms_jobs.cli.kind_options import parameter_rows, split_words
 from sms_jobs.errors import InvalidInput
 

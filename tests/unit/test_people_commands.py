@@ -20,8 +20,8 @@ from sqlalchemy import update
 from support.command import SMS, answer, inside
 
 from sms_jobs import bootstrap
-from sms_jobs.app import people
-from sms_jobs.catalogue.people_tables import AuditRow
+from sms_jobs.app.accounts import people
+from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.errors import NotAllowed
 
 ME = pwd.getpwuid(os.getuid()).pw_name

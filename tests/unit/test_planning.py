@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs.planning import Existing, PlannedJob, Request, plan, plan_possible
+from sms_jobs.jobs.planning.graph import Existing, PlannedJob, Request, plan, plan_possible
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
 from sms_jobs.records.campaign import Campaign

@@ -16,11 +16,14 @@ from sqlalchemy import select
 from support.people import SOMEBODY
 
 from sms_jobs import app, bootstrap
-from sms_jobs.app import finding, jobs, queues, recordings, rules
+from sms_jobs.app import rules
+from sms_jobs.app.holdings import finding
+from sms_jobs.app.measuring import recordings
 from sms_jobs.app.rules import Rule, require, rule_of, use_case
+from sms_jobs.app.work import jobs, queues
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import audit
-from sms_jobs.catalogue.people_tables import AuditRow
+from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound, PasswordNeeded
 from sms_jobs.records.people import RIGHTS, Right, Role
 

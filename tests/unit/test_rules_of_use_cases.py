@@ -14,7 +14,8 @@ import pytest
 from pydantic import SecretStr
 
 import sms_jobs.app
-from sms_jobs.app import people, rules
+from sms_jobs.app import rules
+from sms_jobs.app.accounts import people
 from sms_jobs.records.people import RIGHTS, Actor, Right, Role
 
 SECRET = "sms_" + "aB3-_" * 8 + "xyz"

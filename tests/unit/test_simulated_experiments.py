@@ -9,9 +9,9 @@ import pytest
 from support.homes import make_home
 
 from sms_jobs import bootstrap
-from sms_jobs.app.experiments import EXPERIMENTS, experiment_campaigns
+from sms_jobs.app.specimens.experiments import EXPERIMENTS, experiment_campaigns
 from sms_jobs.catalogue import campaigns
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)

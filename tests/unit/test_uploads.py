@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from sms_jobs import bootstrap
-from sms_jobs.app import uploads
-from sms_jobs.app.uploads import Chunk
+from sms_jobs.app.importing import uploads
+from sms_jobs.app.importing.uploads import Chunk
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 

@@ -12,7 +12,6 @@ from scipy import ndimage
 
 from sms_jobs.archive import Archive, MemoryStore
 from sms_jobs.archive.provenance import Provenance
-from sms_jobs.bench.shelf import Shelf
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs
 from sms_jobs.kinds.recording.simulate import KIND, SimulateParameters
@@ -35,6 +34,7 @@ from sms_jobs.records.sensors import Rig
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import view_of
+from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import Lens
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 from sms_jobs.virtual_rig.exact_meshes import exact_mesh

@@ -30,8 +30,8 @@ from sms_jobs.formats.importers.inspection import (
     source_hash,
 )
 from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layout
-from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of, with_states
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.importing import amend_campaign, import_measurement, known_of, with_states
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration

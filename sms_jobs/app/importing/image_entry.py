@@ -24,8 +24,8 @@ from sms_jobs.formats.importers.image_sets import (
     of_one_size,
 )
 from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, inspect, usual_noise
-from sms_jobs.jobs.importing import amend_campaign, import_measurement, known_of
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.importing import amend_campaign, import_measurement, known_of
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.subject import Subject
 

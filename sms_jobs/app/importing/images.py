@@ -38,8 +38,8 @@ from sms_jobs.formats.importers.folders import LeftOut, Listing, list_folder
 from sms_jobs.formats.importers.frames import Arrangement
 from sms_jobs.formats.importers.image_files import RawFormat
 from sms_jobs.formats.importers.image_sets import named_cameras
-from sms_jobs.jobs.calibrations import known_calibration
-from sms_jobs.jobs.importing import measured_tuples, with_states
+from sms_jobs.jobs.archiving.calibrations import known_calibration
+from sms_jobs.jobs.archiving.importing import measured_tuples, with_states
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.people import Right
 from sms_jobs.records.views import is_view, view_of

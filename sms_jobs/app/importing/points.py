@@ -13,8 +13,8 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.board_points import read_points
 from sms_jobs.formats.importers.boards import BOARD
-from sms_jobs.jobs.importing import import_observations
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.importing import import_observations
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.artefacts import Chessboard
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.people import Right

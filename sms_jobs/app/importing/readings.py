@@ -23,7 +23,7 @@ from sms_jobs.formats.importers.readings import (
     states_by_time,
     zone_named,
 )
-from sms_jobs.jobs.importing import amend_campaign, measured_at, with_readings
+from sms_jobs.jobs.archiving.importing import amend_campaign, measured_at, with_readings
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
-from sms_jobs.jobs.surfaces import register_surface
+from sms_jobs.jobs.archiving.surfaces import register_surface
 from sms_jobs.records.people import Right
 
 

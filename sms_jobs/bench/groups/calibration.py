@@ -9,16 +9,16 @@ from statistics import median
 
 import numpy as np
 
-from sms_jobs.bench.bar_session import MANY_SESSIONS, BarSession, Floats, SessionDesign, bar_session
-from sms_jobs.bench.drawn_calibrations import of_a_bar_session, ratios
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.sphere_scene import NOISE_MM, sphere_scenes
+from sms_jobs.bench.sessions.bar_session import MANY_SESSIONS, BarSession, Floats, SessionDesign, bar_session
+from sms_jobs.bench.sessions.drawn_calibrations import of_a_bar_session, ratios
+from sms_jobs.bench.sessions.sphere_scene import NOISE_MM, sphere_scenes
 from sms_jobs.kinds.shape import reconstruct, stereo
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_covariance import point_standard_deviation
-from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
-from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
-from sms_jobs.metrology.calibration.bundle_result import Adjustment
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.bundle.covariance import point_standard_deviation
+from sms_jobs.metrology.calibration.bundle.cross_validation import cross_validate
+from sms_jobs.metrology.calibration.bundle.problem import BundleOptions
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
 from sms_jobs.metrology.calibration.pair_points import meet_rays
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, project
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout

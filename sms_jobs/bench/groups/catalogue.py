@@ -10,15 +10,15 @@ from pathlib import Path
 from statistics import median, quantiles
 
 from sms_jobs import bootstrap
-from sms_jobs.bench import large_catalogue, large_queue
 from sms_jobs.bench.figures import REPEATS, Condition, Figure, Found, Group, Run
-from sms_jobs.bench.large_questions import QUESTIONS, answers
+from sms_jobs.bench.large import many_files, many_jobs
+from sms_jobs.bench.large.questions import QUESTIONS, answers
 from sms_jobs.bench.servers import POSTGRESQL, environment, fresh_postgresql
 from sms_jobs.catalogue.campaigns import number_of_campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.finding import find_page
-from sms_jobs.catalogue.query_fields import Vocabulary
-from sms_jobs.catalogue.query_language import parse
+from sms_jobs.catalogue.queries.fields import Vocabulary
+from sms_jobs.catalogue.queries.files import find_page
+from sms_jobs.catalogue.queries.language import parse
 
 _FILES, _QUICK_FILES = 1_000_000, 20_000
 _TARGET_MS = 10.0
@@ -37,8 +37,8 @@ def _filled(url: str, files: int, active: int, run: Run) -> int:
         run.say(f"catalogue: {text}")
 
     with closing(Catalogue(url)) as catalogue:
-        large_catalogue.fill(catalogue, files, say)
-        large_queue.fill_queue(catalogue, active, datetime.now(UTC), say, each=_JOBS_EACH)
+        many_files.fill(catalogue, files, say)
+        many_jobs.fill_queue(catalogue, active, datetime.now(UTC), say, each=_JOBS_EACH)
         if catalogue.dialect == "postgresql":
             # As its autovacuum does by itself after so many rows: before, no index answers alone.
             with catalogue.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
@@ -49,11 +49,11 @@ def _filled(url: str, files: int, active: int, run: Run) -> int:
 
 def _found(url: str) -> dict[str, float]:
     """Return the median milliseconds of each documented query."""
-    kinds = frozenset({*large_catalogue.KINDS, "calibration"})
-    known = Vocabulary(lambda: (kinds, large_catalogue.PARAMETERS))
+    kinds = frozenset({*many_files.KINDS, "calibration"})
+    known = Vocabulary(lambda: (kinds, many_files.PARAMETERS))
     taken = {}
     with closing(Catalogue(url)) as catalogue:
-        for text in large_catalogue.DOCUMENTED:
+        for text in many_files.DOCUMENTED:
             found = []
             for _ in range(REPEATS + 1):
                 started = time.perf_counter()

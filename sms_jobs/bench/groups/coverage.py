@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.bar_session import MANY_SESSIONS, bar_session
-from sms_jobs.bench.drawn_calibrations import moved, of_a_bar_session
+from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
+from sms_jobs.bench.correlated.truth_pairs import READ_NOISE, TruthPair, pairs
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.lone_camera import DEFORMED, correlated
-from sms_jobs.bench.shelf import Shelf
-from sms_jobs.bench.truth_pairs import READ_NOISE, TruthPair, pairs
+from sms_jobs.bench.sessions.bar_session import MANY_SESSIONS, bar_session
+from sms_jobs.bench.sessions.drawn_calibrations import moved, of_a_bar_session
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
@@ -25,6 +24,7 @@ from sms_jobs.records.fields import DisplacementField, PhaseMaps, StrainField, S
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import Made, hole_and_step_translation, tension_panel, top_hat_bending
 from sms_jobs.virtual_rig.stereo_campaigns import stepped, stereo_campaign, stereo_rig
 from sms_jobs.virtual_rig.truth import Truth

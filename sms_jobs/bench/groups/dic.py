@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.bench.correlated.half_and_half import HALVES, match_halves
+from sms_jobs.bench.correlated.speckle_pairs import Floats, quadratic, shift, speckle_pair
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, cpu_seconds
-from sms_jobs.bench.half_and_half import HALVES, match_halves
-from sms_jobs.bench.speckle_pairs import Floats, quadratic, shift, speckle_pair
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     Matches,
     MatchSettings,
@@ -21,10 +21,10 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.matching import REFINEMENT, GridSettings, match_grid
-from sms_jobs.metrology.deformation.sampling import choose_seeds, sample_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings, seed_displacements
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.matching.grid import REFINEMENT, GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sample_grid
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, seed_displacements
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.spline import Interpolant
 
 Ints = NDArray[np.int64]

@@ -8,8 +8,8 @@ import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.groups.strain import warm_up
-from sms_jobs.bench.shelf import reconstructed
 from sms_jobs.kinds.deformation import correlate
+from sms_jobs.testing.shelf import reconstructed
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
 

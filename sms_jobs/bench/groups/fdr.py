@@ -8,10 +8,9 @@ from math import pi
 
 import numpy as np
 
-from sms_jobs.bench import large_tuple, plate_mirror
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, cpu_seconds
-from sms_jobs.bench.peers import in_turn, timed
-from sms_jobs.bench.returns import (
+from sms_jobs.bench.fringes import plate_mirror
+from sms_jobs.bench.fringes.returns import (
     Signals,
     found_near,
     pairs,
@@ -21,6 +20,8 @@ from sms_jobs.bench.returns import (
     stronger_bound,
     wrapped,
 )
+from sms_jobs.bench.large import tuples
+from sms_jobs.bench.peers import in_turn, timed
 
 FRINGES = 64
 _SIGNAL = "s = 64, densities 0 .. 63, 254 uint16 frames in memory, B / sigma = 50"
@@ -141,10 +142,10 @@ def _tuple(run: Run) -> Iterator[Found]:
         yield Figure(names[1], None, "MB", 1500.0, "at most")
         return
     run.say("fdr: making a tuple of 4 megapixels and 508 frames")
-    large_tuple.seal(run.folder, "tiny", 64, run.threads)
-    size = large_tuple.seal(run.folder, "large", large_tuple.PIXELS, run.threads)
+    tuples.seal(run.folder, "tiny", 64, run.threads)
+    size = tuples.seal(run.folder, "large", tuples.PIXELS, run.threads)
     run.say("fdr: reconstructing it")
-    taken = large_tuple.measure(run.folder, run.threads)
+    taken = tuples.measure(run.folder, run.threads)
     yield Condition(
         "tuple_4mpx_s64",
         f"508 frames of 2048 x 2048 px, 12 bits with shot and read noise, {size:.2f} GB sealed, just written "

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from sms_jobs.app.frame_finding import Finder
-from sms_jobs.app.specimen_frames import Choice
+from sms_jobs.app.specimens.frame_finding import Finder
+from sms_jobs.app.specimens.specimen_frames import Choice
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 from sms_jobs.records.fields import StrainField
 from sms_jobs.records.specimen_frame import SpecimenFrame
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import Made, Size, placed, small_plate, tension_panel
 
 _TURN_DEG = 5.0

@@ -8,17 +8,9 @@ from math import sqrt
 
 import numpy as np
 
-from sms_jobs.bench.board_sessions import (
-    BOARD,
-    BoardDesign,
-    board_session,
-    bow,
-    calibrated,
-    parameter_z,
-)
-from sms_jobs.bench.broken_models import CASES, rms
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.fringe_mishaps import (
+from sms_jobs.bench.fringes.broken_models import CASES, rms
+from sms_jobs.bench.fringes.fringe_mishaps import (
     SILENT_MM,
     SILENT_SIGMA,
     is_named,
@@ -27,8 +19,16 @@ from sms_jobs.bench.fringe_mishaps import (
     reconstructed,
     silent_points,
 )
-from sms_jobs.bench.plate_before_wall import random_scene, record
-from sms_jobs.bench.plate_before_wall import reconstructed as reconstructed_scene
+from sms_jobs.bench.fringes.plate_before_wall import random_scene, record
+from sms_jobs.bench.fringes.plate_before_wall import reconstructed as reconstructed_scene
+from sms_jobs.bench.sessions.board_sessions import (
+    BOARD,
+    BoardDesign,
+    board_session,
+    bow,
+    calibrated,
+    parameter_z,
+)
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.metrology.phase.frame_noise import noise_of_steps

@@ -21,10 +21,10 @@ from sms_jobs.bench.servers import POSTGRESQL, REDIS, environment, fresh_postgre
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs import lifecycle, recovery
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.submission import submit, submit_to
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit, submit_to
+from sms_jobs.jobs.running import lifecycle, recovery
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 

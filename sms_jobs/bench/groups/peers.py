@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.baselines import matched_by_opencv, unwrapped_by_numpy
+from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
+from sms_jobs.bench.fringes.returns import rms, wrapped
 from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames, unwrap_frames
 from sms_jobs.bench.peers import PEERS, Ratio, Timed, in_turn, peers_folder, started, timed
-from sms_jobs.bench.returns import rms, wrapped
 from sms_jobs.bench.roofline import Peak, Work, matching_work
-from sms_jobs.bench.speckle_pairs import speckle_pair
 from sms_jobs.errors import SmsError
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     Matches,
     MatchSettings,
@@ -30,8 +30,8 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.images.spline import Interpolant
 
 Floats = NDArray[np.float64]

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
-from sms_jobs.bench import long_campaign
 from sms_jobs.bench.browser import Browser, find_browser
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
+from sms_jobs.bench.large import long_campaign
 
 _STATES, _QUICK_STATES = 300, 20
 _SIZE, _QUICK_SIZE = (2048, 2448), (512, 612)

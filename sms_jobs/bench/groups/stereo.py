@@ -10,10 +10,7 @@ import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
 from sms_jobs.bench.peers import PEERS, peers_folder
-from sms_jobs.bench.published_stereo import FOLDER, STATES, between_cameras, in_time, published
-from sms_jobs.bench.rigid_plates import STAND_OFF_MM, search_range_px, shifted_plate, true_shift, with_shape
-from sms_jobs.bench.shelf import Shelf, reconstructed
-from sms_jobs.bench.stereo_errors import (
+from sms_jobs.bench.two_cameras.errors import (
     OUTLIER_PX,
     OUTLIER_SIGMAS,
     Floats,
@@ -22,7 +19,7 @@ from sms_jobs.bench.stereo_errors import (
     reported_over_observed,
     shape_errors,
 )
-from sms_jobs.bench.stereo_peers import (
+from sms_jobs.bench.two_cameras.peers import (
     SUBSET_PX,
     Case,
     Outcome,
@@ -30,6 +27,14 @@ from sms_jobs.bench.stereo_peers import (
     measured_here,
     prepare,
     rendered_plates,
+)
+from sms_jobs.bench.two_cameras.published import FOLDER, STATES, between_cameras, in_time, published
+from sms_jobs.bench.two_cameras.rigid_plates import (
+    STAND_OFF_MM,
+    search_range_px,
+    shifted_plate,
+    true_shift,
+    with_shape,
 )
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.shape import stereo
@@ -39,6 +44,7 @@ from sms_jobs.records.scene import Plane
 from sms_jobs.records.scene import Surface as Shape
 from sms_jobs.records.sensors import Rig
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import Lens, Made
 from sms_jobs.virtual_rig.stereo_campaigns import (
     TELEPHOTO,

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.shelf import reconstructed
 from sms_jobs.kinds.deformation import correlate, strain
+from sms_jobs.testing.shelf import reconstructed
 from sms_jobs.virtual_rig.campaigns import Size, small_plate, tension_panel
 
 _GAUGE_LENGTH_MM = 20.0

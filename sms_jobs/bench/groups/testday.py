@@ -9,10 +9,10 @@ import numpy as np
 
 from sms_jobs.bench.compared_runs import RADIUS_PX, measured
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.killed_plan import HOLD_S, SEQUENCE, TOLERANCE, KilledPlan
-from sms_jobs.bench.quick_looked import GAUGES, looked
-from sms_jobs.bench.quick_looked import SIDE as LOOKED_SIDE
-from sms_jobs.bench.streamed_cameras import SIDE, archived_per_cpu_s, disk_mb_s, streamed
+from sms_jobs.bench.recorded.killed_plan import HOLD_S, SEQUENCE, TOLERANCE, KilledPlan
+from sms_jobs.bench.recorded.quick_looked import GAUGES, looked
+from sms_jobs.bench.recorded.quick_looked import SIDE as LOOKED_SIDE
+from sms_jobs.bench.recorded.streamed_cameras import SIDE, archived_per_cpu_s, disk_mb_s, streamed
 from sms_jobs.records.measurement import FringeSequence
 
 _STATES, _KILLS = 50, 50

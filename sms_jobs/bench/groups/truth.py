@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
+from sms_jobs.bench.correlated.star import star
+from sms_jobs.bench.correlated.truth_pairs import READ_NOISE, SIZE_PX, TruthPair, pairs
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.lone_camera import DEFORMED, correlated
-from sms_jobs.bench.shelf import Shelf
-from sms_jobs.bench.star import star
 from sms_jobs.bench.studies.resolution import judge
-from sms_jobs.bench.truth_pairs import READ_NOISE, SIZE_PX, TruthPair, pairs
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation import cracks, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.records.cracks import CrackOpenings
 from sms_jobs.records.fields import DisplacementField, StrainField
+from sms_jobs.testing.shelf import Shelf
 
 _SILENT_SIGMA, _SILENT_PX = 6.0, 0.05
 """A value is silently wrong that is valid and off by more than both."""

@@ -13,10 +13,10 @@ import httpx2
 import numpy as np
 
 from sms_jobs import bootstrap
-from sms_jobs.app import jobs
+from sms_jobs.app.work import jobs
 from sms_jobs.archive import Provenance
-from sms_jobs.bench import large_catalogue, large_queue
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
+from sms_jobs.bench.large import many_files, many_jobs
 from sms_jobs.bench.web_clients import EventEar, Served, crowd, served
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import FileRow
@@ -39,13 +39,13 @@ _AT = datetime(2026, 1, 1, tzinfo=UTC)
 
 def _addresses(services: Services) -> list[str]:
     """Return what pages ask for, each as often as it is likely to be asked for."""
-    campaign = large_queue.name_of(0)
+    campaign = many_jobs.name_of(0)
     with_jobs = {"campaign": campaign, "limit": 50}
     waiting, queued = (
         jobs.list_jobs(services, campaign=campaign, states=[state], limit=1)[0].id
         for state in (JobState.WAITING, JobState.QUEUED)
     )
-    questions = [large_catalogue.DOCUMENTED[place] for place in (0, 1, 6, 8)]
+    questions = [many_files.DOCUMENTED[place] for place in (0, 1, 6, 8)]
     return [
         "/status",
         f"/jobs?{urlencode(with_jobs)}",
@@ -124,8 +124,8 @@ def measure(run: Run) -> Iterator[Found]:
     home.mkdir()
     bootstrap.initialise(home)
     with bootstrap.services(home) as services:
-        large_catalogue.fill(services.catalogue, files, lambda text: run.say(f"web: {text}"))
-        large_queue.fill_queue(services.catalogue, active, datetime.now(UTC), run.say)
+        many_files.fill(services.catalogue, files, lambda text: run.say(f"web: {text}"))
+        many_jobs.fill_queue(services.catalogue, active, datetime.now(UTC), run.say)
         yield from _measured(
             run, services, home, side, f"{files} files and {active} jobs that have not ended"
         )

@@ -12,11 +12,10 @@ import numpy as np
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.groups.strain import warm_up
 from sms_jobs.bench.peers import PEERS, peers_folder
-from sms_jobs.bench.shelf import Shelf, reconstructed
-from sms_jobs.bench.witness_effects import EFFECTS, STATE, halved_hat
-from sms_jobs.bench.witness_fringes import Witnessed, fringes_of_mitsuba
-from sms_jobs.bench.witness_scenes import MeshTruth
-from sms_jobs.bench.witness_speckles import cylinder_in_tension, speckles_of_riley
+from sms_jobs.bench.witness.effects import EFFECTS, STATE, halved_hat
+from sms_jobs.bench.witness.fringes import Witnessed, fringes_of_mitsuba
+from sms_jobs.bench.witness.scenes import MeshTruth
+from sms_jobs.bench.witness.speckles import cylinder_in_tension, speckles_of_riley
 from sms_jobs.errors import SmsError
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import correlate, strain
@@ -25,6 +24,7 @@ from sms_jobs.kinds.surface_ports import maker_of, position_covariance
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import Made, tension_panel, top_hat_bending
 from sms_jobs.virtual_rig.truth import Truth
 

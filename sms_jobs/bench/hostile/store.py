@@ -21,11 +21,11 @@ from sms_jobs.catalogue import copying
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import Table
 from sms_jobs.errors import ConfigurationError
-from sms_jobs.jobs import recovery
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.runner import Runner
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.running.runner import Runner
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 _QUEUES = ["cpu", "io", "acquisition"]

@@ -9,8 +9,8 @@ from contextlib import ExitStack
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Run
-from sms_jobs.bench.kill_campaign import KillCampaign, Outcome, plan
 from sms_jobs.bench.promises import Promise
+from sms_jobs.bench.recorded.kill_campaign import KillCampaign, Outcome, plan
 from sms_jobs.bench.servers import POSTGRESQL, REDIS, fresh_postgresql
 
 _PLACES = 4

@@ -14,7 +14,7 @@ from typing import Any
 
 from sms_jobs import bootstrap
 from sms_jobs.bench.figures import Condition, Figure, Found, Run
-from sms_jobs.bench.large_queue import fill_queue
+from sms_jobs.bench.large.many_jobs import fill_queue
 from sms_jobs.bench.promises import Promise
 from sms_jobs.bench.servers import POSTGRESQL, environment, fresh_postgresql
 from sms_jobs.errors import SmsError

@@ -11,8 +11,8 @@ from sms_jobs import bootstrap
 from sms_jobs.bench.crowd import Visit, crowd
 from sms_jobs.bench.figures import Condition, Figure, Found, Run
 from sms_jobs.bench.promises import Promise
-from sms_jobs.jobs import inquiry
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.asking import inquiry
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 _CROWD = 200

@@ -11,12 +11,12 @@ from scipy import ndimage
 
 from sms_jobs.bench.compared_fields import Flags, Floats, components, rms
 from sms_jobs.bench.published import Judged
-from sms_jobs.bench.shelf import state_by_state
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.scene import StiffenedPanel
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import state_by_state
 from sms_jobs.virtual_rig.campaigns import PIXELS, Size
 from sms_jobs.virtual_rig.truth import Truth
 from sms_jobs.virtual_rig.wing_campaigns import buckling_panel

@@ -9,13 +9,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.scene import StiffenedPanel
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import Size
 from sms_jobs.virtual_rig.truth import Truth
 from sms_jobs.virtual_rig.wing_campaigns import disbond_buckling

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
@@ -17,6 +16,7 @@ from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import hole_and_step_translation
 from sms_jobs.virtual_rig.truth import Truth
 

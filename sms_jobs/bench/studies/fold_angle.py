@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.shelf import Shelf, reconstructed
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate, strain
-from sms_jobs.metrology.deformation.displacement import pixel_pitch
+from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.truth import Truth
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
-from sms_jobs.bench.returns import rms
+from sms_jobs.bench.fringes.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.recording import simulate
@@ -24,6 +23,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Cylinder, Gloss
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.truth import exact_shape
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sms_jobs.bench.half_and_half import HALVES, AboutEdge, match_halves
+from sms_jobs.bench.correlated.half_and_half import HALVES, AboutEdge, match_halves
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
-from sms_jobs.metrology.deformation.matching import Method
+from sms_jobs.metrology.deformation.matching.grid import Method
 
 RADIUS = 16
 NOISE = 0.025  # of the contrast

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.bench.speckle_pairs import Floats, affine_speckle
+from sms_jobs.bench.correlated.speckle_pairs import Floats, affine_speckle
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     Matches,
     MatchSettings,
@@ -18,10 +18,10 @@ from sms_jobs.metrology.deformation.correlation import (
     PreparedImages,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
-from sms_jobs.metrology.deformation.matching import GridSettings, match_nodes
-from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_nodes
+from sms_jobs.metrology.deformation.matching.incremental import Followed, follow, match_in_steps
+from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 
 STATES = 6
 TURN_DEG, STRETCH = 8.0, 0.03  # more in each state

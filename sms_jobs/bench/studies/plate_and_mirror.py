@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sms_jobs.bench.plate_mirror import UNMASKED, Floats, Plate, only, record, rms_off, unwrapped
+from sms_jobs.bench.fringes.plate_mirror import UNMASKED, Floats, Plate, only, record, rms_off, unwrapped
+from sms_jobs.bench.fringes.returns import simulate
 from sms_jobs.bench.published import Judged
-from sms_jobs.bench.returns import simulate
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 from sms_jobs.metrology.phase.sequences import ranging
 from sms_jobs.records.fields import Surface

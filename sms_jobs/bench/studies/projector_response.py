@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
-from sms_jobs.bench.returns import rms
+from sms_jobs.bench.fringes.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
@@ -20,6 +19,7 @@ from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape

@@ -7,7 +7,7 @@ from math import pi
 
 import numpy as np
 
-from sms_jobs.bench.returns import Floats, rms, simulate, single_bound, wrapped
+from sms_jobs.bench.fringes.returns import Floats, rms, simulate, single_bound, wrapped
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 
 FRINGES = (8, 16, 32, 64, 128)

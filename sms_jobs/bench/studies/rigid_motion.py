@@ -8,10 +8,10 @@ import numpy as np
 
 from sms_jobs.bench.compared_fields import lengths
 from sms_jobs.bench.published import Judged
-from sms_jobs.bench.shelf import state_by_state
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import state_by_state
 from sms_jobs.virtual_rig.campaigns import PIXELS, Size, hole_and_step_translation
 
 _THREADS = 2

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.shelf import Shelf
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.point_matches import trusted_points
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.shape.textures import white_texture
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.fields.displacement import blend_matches
+from sms_jobs.metrology.deformation.matching.correlation import (
     NOT_CONVERGED,
     MatchSettings,
     Noise,
@@ -30,12 +30,11 @@ from sms_jobs.metrology.deformation.correlation import (
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.displacement import blend_matches
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, is_sure, match_grid
-from sms_jobs.metrology.deformation.sampling import sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.verification import verify_displacement
+from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, is_sure, match_grid
+from sms_jobs.metrology.deformation.matching.sampling import sample_nodes
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid, project
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
@@ -45,6 +44,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Deformation, Rigid, UniaxialStrain
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import Made
 from sms_jobs.virtual_rig.stereo_campaigns import curved, stereo_campaign, stereo_rig
 

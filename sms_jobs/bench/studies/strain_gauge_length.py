@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sms_jobs.bench.shelf import reconstructed
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate, strain
+from sms_jobs.testing.shelf import reconstructed
 from sms_jobs.virtual_rig.campaigns import tension_panel
 
 GAUGE_LENGTHS_MM = (10.0, 15.0, 20.0, 30.0, 40.0)

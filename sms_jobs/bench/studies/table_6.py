@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 
 from sms_jobs.bench.figures import cpu_seconds
-from sms_jobs.bench.returns import Floats, Signals, simulate, single_bound
+from sms_jobs.bench.fringes.returns import Floats, Signals, simulate, single_bound
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 
 FRINGES = 64

@@ -9,11 +9,11 @@ import numpy as np
 
 from sms_jobs.bench.compared_fields import Compared, Flags, Mean, lengths, rms
 from sms_jobs.bench.published import Judged
-from sms_jobs.bench.shelf import Shelf, state_by_state
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, state_by_state
 from sms_jobs.virtual_rig.campaigns import PIXELS, Size, top_hat_before_two_cameras, top_hat_bending
 from sms_jobs.virtual_rig.truth import Truth
 

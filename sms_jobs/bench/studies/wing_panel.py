@@ -12,14 +12,15 @@ from scipy.optimize import least_squares
 
 from sms_jobs.bench.compared_fields import Floats, rms
 from sms_jobs.bench.published import Judged
-from sms_jobs.bench.shelf import Shelf, state_by_state
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate, gauges, strain
-from sms_jobs.kinds.kind import Kind, Parameters
+from sms_jobs.kinds.kind import Kind
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.records.fields import DisplacementField, StrainField
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.scene import AT_ORIGIN, Deformation
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, state_by_state
 from sms_jobs.virtual_rig.campaigns import PIXELS, Made, Size
 from sms_jobs.virtual_rig.deformations import gradients, packed_chain
 from sms_jobs.virtual_rig.truth import Truth

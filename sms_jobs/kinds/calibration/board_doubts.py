@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_problem import BoardPoints, BundleProblem
-from sms_jobs.metrology.calibration.bundle_result import Adjustment
+from sms_jobs.metrology.calibration.bundle.problem import BoardPoints, BundleProblem
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
 
 Floats = NDArray[np.float64]
 

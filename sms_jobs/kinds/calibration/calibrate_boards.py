@@ -63,16 +63,16 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BOARD, CALIBRATED, QUALITY, UNCERTAINTY, Product
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate
-from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
-from sms_jobs.metrology.calibration.initialisation import initialise
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.bundle.cross_validation import cross_validate
+from sms_jobs.metrology.calibration.bundle.problem import BundleOptions
+from sms_jobs.metrology.calibration.starting.initialisation import initialise
 from sms_jobs.metrology.geometry.lens import LENS
 from sms_jobs.metrology.geometry.lens_field import fold_px
 from sms_jobs.records.calibration import CalibrationQuality

@@ -27,28 +27,18 @@ from sms_jobs.kinds.calibration.sessions import (
     sensor_format,
     session_of,
 )
-from sms_jobs.kinds.kind import (
-    MEASUREMENT,
-    DatasetOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Parameters,
-    Port,
-    Progress,
-    Scope,
-)
+from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Output, Port, Progress, Scope
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BAR, CALIBRATED, MEASURED, QUALITY
 from sms_jobs.kinds.shape.phases import sensor_pair
-from sms_jobs.metrology.calibration.pan_tilt import (
+from sms_jobs.metrology.calibration.stage.pan_tilt import (
     label_special_poses,
     predict_centres,
     prediction_covariance,
     special_poses,
     stage_from_special_poses,
 )
-from sms_jobs.metrology.calibration.pan_tilt_refinement import (
+from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import (
     refine_stage,
     search_margin_mm,
     sphere_regions,

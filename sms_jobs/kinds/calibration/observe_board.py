@@ -19,18 +19,8 @@ from sms_jobs.kinds.calibration.sessions import (
     sensor_format,
     session_of,
 )
-from sms_jobs.kinds.kind import (
-    MEASUREMENT,
-    DatasetOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Parameters,
-    Port,
-    Progress,
-    Scope,
-)
+from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Output, Port, Progress, Scope
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BOARD, MEASURED
 from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.chessboards import find_chessboard

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.calibration.sessions import SessionPlan, blur_name
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
-from sms_jobs.metrology.calibration.bundle_covariance import point_covariance
-from sms_jobs.metrology.calibration.bundle_cross_validation import CrossValidation
-from sms_jobs.metrology.calibration.bundle_problem import (
+from sms_jobs.metrology.calibration.bundle.covariance import point_covariance
+from sms_jobs.metrology.calibration.bundle.cross_validation import CrossValidation
+from sms_jobs.metrology.calibration.bundle.problem import (
     BarPoints,
     BarPose,
     BoardPoints,
@@ -25,9 +25,9 @@ from sms_jobs.metrology.calibration.bundle_problem import (
     BundleSensor,
     SensorPrior,
 )
-from sms_jobs.metrology.calibration.bundle_result import Adjustment
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
 from sms_jobs.metrology.calibration.pair_points import box_grid
-from sms_jobs.metrology.calibration.sensor_start import seen_pose, usable_views
+from sms_jobs.metrology.calibration.starting.sensor_start import seen_pose, usable_views
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform

@@ -19,12 +19,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     tuples,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATED, SURFACE, SYSTEM_TEST
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.geometry.transforms import unpack

@@ -18,29 +18,21 @@ from pydantic import Field, field_validator
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.deformation.textured_state import read_texture
-from sms_jobs.kinds.kind import (
-    DatasetOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Parameters,
-    Progress,
-    Scope,
-)
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Need, Output, Progress, Scope
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import ALIGNMENT, SURFACE, Product
 from sms_jobs.kinds.shape.camera_views import cameras
 from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance, state_ports
-from sms_jobs.metrology.deformation.alignment import (
+from sms_jobs.metrology.deformation.joining.alignment import (
     Alignment,
     CommonPoints,
     View,
     align_views,
     common_points,
 )
-from sms_jobs.metrology.deformation.alignment_start import overlapping
-from sms_jobs.metrology.deformation.correlation import MatchSettings
-from sms_jobs.metrology.deformation.matching import GridSettings
+from sms_jobs.metrology.deformation.joining.alignment_start import overlapping
+from sms_jobs.metrology.deformation.matching.correlation import MatchSettings
+from sms_jobs.metrology.deformation.matching.grid import GridSettings
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment

@@ -23,8 +23,8 @@ from sms_jobs.kinds.kind import (
     deformed_states,
 )
 from sms_jobs.kinds.products import ALIGNMENT, MESH
-from sms_jobs.metrology.deformation.joining import StrainedSurface, brought, differences
-from sms_jobs.metrology.deformation.merging import join_meshes
+from sms_jobs.metrology.deformation.joining.common_frame import StrainedSurface, brought, differences
+from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign

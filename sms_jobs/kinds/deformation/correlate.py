@@ -51,13 +51,13 @@ from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, R
 from sms_jobs.kinds.resolution import resolution_statistics
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import Matches, PreparedImages, prepare_images
-from sms_jobs.metrology.deformation.crack_lines import crack_lines
-from sms_jobs.metrology.deformation.incremental import Followed, follow, match_in_steps
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_nodes
-from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.splitting import Split, cut_out, split_regions
+from sms_jobs.metrology.deformation.cracks.lines import crack_lines
+from sms_jobs.metrology.deformation.cracks.splitting import Split, cut_out, split_regions
+from sms_jobs.metrology.deformation.matching import correlation
+from sms_jobs.metrology.deformation.matching.correlation import Matches, PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, match_nodes
+from sms_jobs.metrology.deformation.matching.incremental import Followed, follow, match_in_steps
+from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.metrology.images.masks import widened
 from sms_jobs.metrology.images.segmentation import ContinuousRegions

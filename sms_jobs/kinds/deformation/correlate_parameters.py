@@ -6,11 +6,11 @@ from typing import Literal, Self, cast
 
 from pydantic import Field, field_validator, model_validator
 
-from sms_jobs.kinds.kind import Parameters
-from sms_jobs.metrology.deformation.correlation import MatchSettings
-from sms_jobs.metrology.deformation.matching import Method
-from sms_jobs.metrology.deformation.seeding import SearchSettings
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.metrology.deformation.matching.correlation import MatchSettings
+from sms_jobs.metrology.deformation.matching.grid import Method
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.region_of_interest import parse_outlines
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant

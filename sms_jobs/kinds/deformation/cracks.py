@@ -14,17 +14,17 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     deformed_views,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CRACKS, DISPLACEMENT, REGIONS, SURFACE
 from sms_jobs.kinds.surface_ports import bias_in_space, surface_port
-from sms_jobs.metrology.deformation import crack_opening
-from sms_jobs.metrology.deformation.crack_opening import CrackOpening, crack_openings
-from sms_jobs.metrology.deformation.polylines import way_along
+from sms_jobs.metrology.deformation.cracks import opening
+from sms_jobs.metrology.deformation.cracks.opening import CrackOpening, crack_openings
+from sms_jobs.metrology.deformation.cracks.polylines import way_along
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.cracks import CrackOpenings
@@ -56,7 +56,7 @@ def run(inputs: Inputs, parameters: CracksParameters, progress: Progress) -> Ite
     regions = inputs.read(_MOVED, REGIONS)
     surface = inputs.read(_REFERENCE.port, SURFACE)
     covariance, bias = covariance_in_space(moved.covariance), bias_in_space(moved)
-    field = crack_opening.Field(
+    field = opening.Field(
         in_space(surface.position),
         in_space(moved.displacement),
         covariance,
@@ -77,7 +77,7 @@ def _record(found: list[CrackOpening], moved: DisplacementField, surface: Surfac
 
     ways = [way_along(one.position) for one in found]
     counts = [len(way) for way in ways]
-    opening, sigma = (
+    jump, sigma = (
         joined([values.T for values in each], (3,)).T
         for each in ([one.opening for one in found], [one.sigma for one in found])
     )
@@ -92,11 +92,11 @@ def _record(found: list[CrackOpening], moved: DisplacementField, surface: Surfac
         joined([one.pixel for one in found], (2,)),
         joined([one.position for one in found], (3,))[:, :dimensions],
         joined(ways),
-        opening[0],
+        jump[0],
         sigma[0].astype(np.float32),
-        opening[1],
+        jump[1],
         sigma[1].astype(np.float32),
-        *((opening[2], sigma[2].astype(np.float32)) if surface.has_depth else (None, None)),
+        *((jump[2], sigma[2].astype(np.float32)) if surface.has_depth else (None, None)),
     )
 
 

@@ -14,12 +14,12 @@ from sms_jobs.kinds.deformation.textured_state import TexturedState
 from sms_jobs.kinds.point_matches import trusted_points
 from sms_jobs.kinds.resolution import extent_of_pixels, resolution_of_matches
 from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance
-from sms_jobs.metrology.deformation import displacement
-from sms_jobs.metrology.deformation.correlation import PreparedImages
-from sms_jobs.metrology.deformation.displacement import StateShape, blend_matches, displacement_field
-from sms_jobs.metrology.deformation.matching import GridMatches
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
+from sms_jobs.metrology.deformation.fields import displacement
+from sms_jobs.metrology.deformation.fields.displacement import StateShape, blend_matches, displacement_field
+from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
+from sms_jobs.metrology.deformation.matching.grid import GridMatches
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.matching.verification import Verified, verify_displacement
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import DisplacementField, ImageMatches

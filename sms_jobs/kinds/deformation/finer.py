@@ -12,11 +12,22 @@ from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters,
 from sms_jobs.kinds.deformation.dense_fields import ImageDisplacement, resolution_in_image, spread
 from sms_jobs.kinds.deformation.textured_state import TexturedState
 from sms_jobs.kinds.point_matches import matches_record
-from sms_jobs.metrology.deformation.correlation import CONVERGED, NOT_CONVERGED, PreparedImages, match_points
-from sms_jobs.metrology.deformation.displacement import blending_reach
-from sms_jobs.metrology.deformation.finer_subsets import Subsets, Verdict, better_of, ladder, worth_trying
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, is_sure
-from sms_jobs.metrology.deformation.shape_functions import WARP, ShapeOrder
+from sms_jobs.metrology.deformation.fields.displacement import blending_reach
+from sms_jobs.metrology.deformation.matching.correlation import (
+    CONVERGED,
+    NOT_CONVERGED,
+    PreparedImages,
+    match_points,
+)
+from sms_jobs.metrology.deformation.matching.finer_subsets import (
+    Subsets,
+    Verdict,
+    better_of,
+    ladder,
+    worth_trying,
+)
+from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, is_sure
+from sms_jobs.metrology.deformation.matching.shape_functions import WARP, ShapeOrder
 from sms_jobs.metrology.images.masks import widened
 from sms_jobs.records.fields import ImageMatches
 

@@ -18,17 +18,17 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     deformed_views,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, GAUGES, REGIONS, SURFACE
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
-from sms_jobs.metrology.deformation.displacement import pixel_pitch
-from sms_jobs.metrology.deformation.gauges import GaugePlace, GaugeValue, read_gauge
-from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, GaugeValue, read_gauge
+from sms_jobs.metrology.deformation.strain.strain_errors import independent_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance

@@ -18,12 +18,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     every_deformed_state,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import (
     CALIBRATION_FACTOR,
     DISPLACEMENT,
@@ -36,7 +36,7 @@ from sms_jobs.kinds.products import (
 )
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
-from sms_jobs.metrology.deformation.merging import (
+from sms_jobs.metrology.deformation.joining.merging import (
     Merged,
     combine_labels,
     correlation_of_pairs,
@@ -44,7 +44,7 @@ from sms_jobs.metrology.deformation.merging import (
     merge_by_variance,
     weights_of_pairs,
 )
-from sms_jobs.metrology.deformation.strain import principal_and_equivalent
+from sms_jobs.metrology.deformation.strain.tangent_plane import principal_and_equivalent
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign

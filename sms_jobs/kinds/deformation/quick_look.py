@@ -26,19 +26,26 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     fringe_tuples,
     is_deformed,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, SURFACE, UNCERTAINTY, Product
 from sms_jobs.kinds.shape.sparse_surface import sparse_surface, with_regions
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
-from sms_jobs.metrology.deformation.correlation import LEFT_IMAGE, MatchSettings, match_points, prepare_images
-from sms_jobs.metrology.deformation.gauge_points import (
+from sms_jobs.metrology.deformation.matching.correlation import (
+    LEFT_IMAGE,
+    MatchSettings,
+    match_points,
+    prepare_images,
+)
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, is_sure
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, repeats_itself, seed_warps
+from sms_jobs.metrology.deformation.strain.gauge_points import (
     MovedPoint,
     SparseSurface,
     extension,
@@ -46,9 +53,7 @@ from sms_jobs.metrology.deformation.gauge_points import (
     moved_point,
     place_of,
 )
-from sms_jobs.metrology.deformation.gauges import GaugePlace
-from sms_jobs.metrology.deformation.matching import GridSettings, is_sure
-from sms_jobs.metrology.deformation.seeding import SearchSettings, repeats_itself, seed_warps
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.metrology.images.sharpness import texture_width

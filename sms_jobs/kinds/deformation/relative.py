@@ -21,15 +21,15 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     deformed_views,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MOTION, RELATIVE, SURFACE
 from sms_jobs.kinds.surface_ports import surface_port
-from sms_jobs.metrology.deformation.rigid_motion import RigidMotion, rigid_motion, with_motion
+from sms_jobs.metrology.deformation.fields.rigid_motion import RigidMotion, rigid_motion, with_motion
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.geometry.specimen_frame import tiles_of
 from sms_jobs.metrology.geometry.transforms import rotation_vector

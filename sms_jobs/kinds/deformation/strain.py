@@ -17,21 +17,21 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     deformed_tuples,
     deformed_views,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.resolution import extent_of_pixels, resolution_statistics
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
-from sms_jobs.metrology.deformation.displacement import pixel_pitch
-from sms_jobs.metrology.deformation.spatial_resolution import strain_resolution
-from sms_jobs.metrology.deformation.strain import surface_strain
-from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
+from sms_jobs.metrology.deformation.fields.spatial_resolution import strain_resolution
+from sms_jobs.metrology.deformation.strain.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import StrainField, StrainMeasure, Surface

@@ -13,7 +13,7 @@ from sms_jobs.kinds.kind import CALIBRATION, Inputs, Port
 from sms_jobs.kinds.products import CALIBRATED, PHASE, SURFACE
 from sms_jobs.kinds.shape.textures import filtered, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
-from sms_jobs.metrology.deformation.correlation import Noise
+from sms_jobs.metrology.deformation.matching.correlation import Noise
 from sms_jobs.metrology.images.masks import of_one_label
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order, label_regions, pixel_footprint

@@ -27,7 +27,6 @@ from sms_jobs.kinds.kind import (
     Inputs,
     Kind,
     Output,
-    Parameters,
     Progress,
     Queue,
     Scope,
@@ -36,6 +35,7 @@ from sms_jobs.kinds.kind import (
     no_needs,
     rig_queue,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
 from sms_jobs.kinds.recording.adaptation import (
     QUICK,

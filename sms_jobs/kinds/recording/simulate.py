@@ -18,12 +18,12 @@ from sms_jobs.kinds.kind import (
     Inputs,
     Kind,
     Output,
-    Parameters,
     Progress,
     Queue,
     Scope,
     no_needs,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import MEASURED
 from sms_jobs.kinds.recording.adaptation import QUICK, Adaptive, adaptation_statistics, adapted
 from sms_jobs.records.artefacts import BallBar

@@ -30,12 +30,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Progress,
     Queue,
     Scope,
     never,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BETWEEN, MEASURED, RECORDED
 from sms_jobs.kinds.recording.acquire import setting_at, station_of, statistics_of, whole_rig
 from sms_jobs.records.campaign import Campaign

@@ -18,13 +18,13 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     is_deformed,
     tuples,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port, textured_by
 from sms_jobs.records.assessment import Assessment, Errors

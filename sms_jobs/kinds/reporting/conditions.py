@@ -15,7 +15,8 @@ from sms_jobs.formats.report.conditions import conditions_csv, conditions_markup
 from sms_jobs.formats.report.html import number
 from sms_jobs.formats.report.origins import Traceable
 from sms_jobs.formats.report.page import Section
-from sms_jobs.kinds.kind import DocumentOutput, Inputs, Kind, Need, Output, Parameters, Progress, Scope
+from sms_jobs.kinds.kind import DocumentOutput, Inputs, Kind, Need, Output, Progress, Scope
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, MERGED, RECORDED, STRAIN, SURFACE
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.reporting.chapter import (
@@ -30,7 +31,7 @@ from sms_jobs.kinds.reporting.chapter import (
 )
 from sms_jobs.kinds.reporting.still_pairs import StillNoise, still_noise
 from sms_jobs.kinds.surface_ports import textured_by
-from sms_jobs.metrology.deformation.displacement import pixel_pitch
+from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.metrology.images.texture_quality import speckle_width
 from sms_jobs.records.campaign import Campaign

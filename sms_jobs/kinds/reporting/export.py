@@ -21,12 +21,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     every_deformed_state,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import MEASURED, MERGED, MESH
 from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign

@@ -14,12 +14,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Progress,
     Scope,
     tested_states,
     tuples,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.reporting.chapter import (
     ASSESSMENTS,
     CALIBRATION_SHOWN,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sms_jobs.kinds.kind import Inputs, tested_states
 from sms_jobs.kinds.products import MERGED, STRAIN
 from sms_jobs.kinds.reporting.chapter import MERGED_STATES, STRAINS
-from sms_jobs.metrology.deformation.noise_floor import NoiseFloor, noise_floor
+from sms_jobs.metrology.deformation.fields.noise_floor import NoiseFloor, noise_floor
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.subject import Subject

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sms_jobs.kinds.kind import Inputs, Need
 from sms_jobs.kinds.products import SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
-from sms_jobs.metrology.deformation.merging import merge_by_variance
+from sms_jobs.metrology.deformation.joining.merging import merge_by_variance
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.reasons import Reason

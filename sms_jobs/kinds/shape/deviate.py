@@ -20,14 +20,14 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import DEVIATION, MESH, REFERENCE_SURFACE, REGISTRATION, Product
 from sms_jobs.kinds.shape.camera_views import SHAPES, CameraView, camera_views, cameras, cloud_needs
-from sms_jobs.metrology.deformation.merging import join_meshes
+from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import rotation_matrix, turn_covariance
 from sms_jobs.metrology.surfaces.coarse_registration import coarse_registration

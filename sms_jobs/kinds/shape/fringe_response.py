@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sms_jobs.errors import MeasurementFailed
-from sms_jobs.kinds.kind import Parameters
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.shape.streaming import in_best_exposure
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.response import (

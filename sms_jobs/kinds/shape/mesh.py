@@ -9,22 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from sms_jobs.kinds.kind import (
-    MEASUREMENT,
-    DatasetOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Parameters,
-    Port,
-    Progress,
-    Scope,
-)
+from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Output, Port, Progress, Scope
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import MEASURED, MESH
 from sms_jobs.kinds.shape.camera_views import SHAPES, CameraView, camera_views, cameras, cloud_needs
 from sms_jobs.kinds.surface_ports import textured_by
-from sms_jobs.metrology.deformation.merging import join_meshes
+from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.surfaces.continuity import fill_small_holes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign

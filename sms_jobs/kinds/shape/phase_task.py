@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
-from sms_jobs.kinds.kind import Parameters
-from sms_jobs.metrology.calibration.expected_gap import pixel_size
+from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.metrology.calibration.checking.expected_gap import pixel_size
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
 from sms_jobs.metrology.phase.joint_fit import JointCode

@@ -15,13 +15,13 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     planes,
     planes_alone,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import MEASURED, SURFACE
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration_factors import known_view
 from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
-from sms_jobs.metrology.deformation.correlation import CONVERGED
-from sms_jobs.metrology.deformation.epipolar_search import Width
-from sms_jobs.metrology.deformation.matching import GridMatches
+from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
+from sms_jobs.metrology.deformation.matching.epipolar_search import Width
+from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
 from sms_jobs.metrology.images.coarse_maps import sample_blocks

@@ -18,7 +18,7 @@ from sms_jobs.kinds.shape.trusted_points import (
     mark_points,
     paired_sensors,
 )
-from sms_jobs.metrology.deformation.gauge_points import SparseSurface
+from sms_jobs.metrology.deformation.strain.gauge_points import SparseSurface
 from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
 from sms_jobs.metrology.phase.texture_error import correct_texture
 from sms_jobs.records.fields import Surface

@@ -31,12 +31,12 @@ from sms_jobs.kinds.kind import (
     Kind,
     Need,
     Output,
-    Parameters,
     Port,
     Progress,
     Scope,
     camera_tuples,
 )
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.point_matches import (
     between_matches,
     match_statistics,
@@ -63,23 +63,23 @@ from sms_jobs.kinds.shape.ray_images import (
 )
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
-from sms_jobs.metrology.deformation.camera_matching import (
+from sms_jobs.metrology.deformation.fields.displacement import blend_matches
+from sms_jobs.metrology.deformation.matching.camera_matching import (
     RaySearch,
     TexturedCamera,
     distance_from_rays,
     match_cameras,
 )
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     MatchSettings,
     PreparedImages,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.displacement import blend_matches
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
-from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.verification import verify_displacement
+from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings
+from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays

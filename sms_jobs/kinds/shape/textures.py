@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.deformation.correlation import Noise
+from sms_jobs.metrology.deformation.matching.correlation import Noise
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 from sms_jobs.records.measurement import Measurement
 

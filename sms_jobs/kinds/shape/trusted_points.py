@@ -9,7 +9,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
-from sms_jobs.metrology.calibration.expected_gap import expected_gap_px
+from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box

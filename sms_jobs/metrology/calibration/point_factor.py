@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
+from sms_jobs.metrology.calibration.bundle.covariance import point_jacobian
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives, ray_derivatives
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, Camera, projection_jacobian
 from sms_jobs.metrology.geometry.transforms import transform

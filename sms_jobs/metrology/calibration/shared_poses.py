@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
-from sms_jobs.metrology.calibration.sensor_start import SensorStart
+from sms_jobs.metrology.calibration.starting.sensor_start import SensorStart
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.transforms import compose, inverse, transform
 

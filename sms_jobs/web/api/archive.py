@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from fastapi import Request
 from pydantic import Field
 
-from sms_jobs.app import archive
+from sms_jobs.app.holdings import archive
 from sms_jobs.records.shown.archive_state import ArchiveState
 from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting

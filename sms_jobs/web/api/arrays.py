@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 from fastapi import Path, Query
 from fastapi.responses import Response, StreamingResponse
 
-from sms_jobs.app import arrays, reading, zarr_view
-from sms_jobs.app.arrays import FileArrays
-from sms_jobs.app.reading import Newest, RecordParts
+from sms_jobs.app.fields import arrays, zarr_view
+from sms_jobs.app.fields.arrays import FileArrays
+from sms_jobs.app.holdings import reading
+from sms_jobs.app.holdings.reading import Newest, RecordParts
 from sms_jobs.web.asked import Name, Number, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import Query
 
-from sms_jobs.app import audit
+from sms_jobs.app.accounts import audit
 from sms_jobs.records.shown.people import Link
 from sms_jobs.web.asked import Limit, Moment, Text
 from sms_jobs.web.identity import Acting

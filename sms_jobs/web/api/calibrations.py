@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import calibration_drift, calibration_worth, calibrations
-from sms_jobs.app.calibration_drift import Drift
-from sms_jobs.app.calibration_worth import Overview
-from sms_jobs.app.calibrations import CalibrationText, Decision
+from sms_jobs.app.calibrating import calibration_drift, calibration_worth, calibrations
+from sms_jobs.app.calibrating.calibration_drift import Drift
+from sms_jobs.app.calibrating.calibration_worth import Overview
+from sms_jobs.app.calibrating.calibrations import CalibrationText, Decision
 from sms_jobs.web.asked import Asked, FileNumber, Moment, Number, Text
 from sms_jobs.web.confirming import Confirmed, confirmed
 from sms_jobs.web.identity import Acting

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from sms_jobs.app import campaign_matrix, campaigns, experiments, recordings
-from sms_jobs.app.campaigns import Campaigns
+from sms_jobs.app.measuring import recordings
+from sms_jobs.app.specimens import campaign_matrix, campaigns, experiments
+from sms_jobs.app.specimens.campaigns import Campaigns
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.records.shown.state_progress import StateProgress

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from fastapi import Path, Query
 from fastapi.responses import Response
 
-from sms_jobs.app import field_gauges, field_pages, field_values
-from sms_jobs.app.field_sources import SAMPLES
+from sms_jobs.app.fields import field_gauges, field_pages, field_values
+from sms_jobs.app.fields.field_sources import SAMPLES
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
 

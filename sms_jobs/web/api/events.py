@@ -14,8 +14,8 @@ from fastapi import Header, Query, Request
 from fastapi.responses import StreamingResponse
 from starlette.types import Message, Send
 
-from sms_jobs.app import happenings
-from sms_jobs.app.happenings import Happening
+from sms_jobs.app.work import happenings
+from sms_jobs.app.work.happenings import Happening
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import NotAllowed, ServerUnreachable, SmsError
 from sms_jobs.records.people import Right

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 from fastapi.responses import Response
 
-from sms_jobs.app import field_comparison, state_comparison, surface_fields
-from sms_jobs.app.field_comparison import How
+from sms_jobs.app.fields import field_comparison, state_comparison, surface_fields
+from sms_jobs.app.fields.field_comparison import How
 from sms_jobs.errors import InvalidInput
 from sms_jobs.web.api.files import DRAWING, PNG
 from sms_jobs.web.asked import Name, Number, Text

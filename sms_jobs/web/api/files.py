@@ -14,10 +14,11 @@ from fastapi import Header, Query
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from pydantic import Field
 
-from sms_jobs.app import exporting, files, packing, sealed_files
-from sms_jobs.app.exporting import Chosen, ExportOptions, Format
-from sms_jobs.app.files import Description, Tree
-from sms_jobs.app.sealed_files import SealedFile
+from sms_jobs.app.fields import exporting
+from sms_jobs.app.fields.exporting import Chosen, ExportOptions, Format
+from sms_jobs.app.holdings import files, packing, sealed_files
+from sms_jobs.app.holdings.files import Description, Tree
+from sms_jobs.app.holdings.sealed_files import SealedFile
 from sms_jobs.records.shown.files import FileView
 from sms_jobs.web.asked import Asked, Number, Text
 from sms_jobs.web.byte_ranges import range_of

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import finding
-from sms_jobs.app.finding import Question
-from sms_jobs.app.finding_states import find_states
+from sms_jobs.app.holdings import finding
+from sms_jobs.app.holdings.finding import Question
+from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.shown.files import Page
 from sms_jobs.records.shown.states import FoundState

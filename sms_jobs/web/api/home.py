@@ -8,10 +8,11 @@ from fastapi.responses import Response
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import Field
 
-from sms_jobs.app import database, kinds, service
-from sms_jobs.app.database import Compared
-from sms_jobs.app.kinds import KindView
-from sms_jobs.app.service import Status
+from sms_jobs.app.home import database, service
+from sms_jobs.app.home.database import Compared
+from sms_jobs.app.home.service import Status
+from sms_jobs.app.work import kinds
+from sms_jobs.app.work.kinds import KindView
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting

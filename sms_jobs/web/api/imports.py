@@ -17,8 +17,8 @@ from fastapi import Request
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from sms_jobs.app import calibrations, uploads
-from sms_jobs.app.importing import boards, frames, images, points, readings, surface
+from sms_jobs.app.calibrating import calibrations
+from sms_jobs.app.importing import boards, frames, images, points, readings, surface, uploads
 from sms_jobs.app.importing.outcomes import Outcome
 from sms_jobs.app.importing.points import ImportedPoints
 from sms_jobs.app.importing.surface import ImportedSurface

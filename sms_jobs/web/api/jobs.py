@@ -11,9 +11,9 @@ from anyio import to_thread
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import found_work, jobs, waiting
-from sms_jobs.app.jobs import Explanation, JobStory, Refusal, Remaining, Submitted, Work
-from sms_jobs.app.waiting import Waiting
+from sms_jobs.app.work import found_work, jobs, waiting
+from sms_jobs.app.work.jobs import Explanation, JobStory, Refusal, Remaining, Submitted, Work
+from sms_jobs.app.work.waiting import Waiting
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import WaitTimedOut
 from sms_jobs.records.job import JobState

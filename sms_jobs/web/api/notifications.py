@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from sms_jobs.app import notifications
+from sms_jobs.app.accounts import notifications
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.notifications import Address, Topic
 from sms_jobs.web.asked import Asked, Limit, Name, Text

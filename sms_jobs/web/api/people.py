@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from fastapi import Response
 from pydantic import Field
 
-from sms_jobs.app import people
-from sms_jobs.app.people import NewToken
+from sms_jobs.app.accounts import people
+from sms_jobs.app.accounts.people import NewToken
 from sms_jobs.records.people import Role
 from sms_jobs.records.shown.people import AccessView, PersonView
 from sms_jobs.web.asked import Asked, Name, Text

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import planned_recordings, quick_looks
-from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
+from sms_jobs.app.measuring import planned_recordings, quick_looks
+from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording

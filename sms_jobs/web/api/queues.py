@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import Body
 
-from sms_jobs.app import queues
+from sms_jobs.app.work import queues
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
 

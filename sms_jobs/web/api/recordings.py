@@ -9,7 +9,7 @@ from fastapi import Query
 from fastapi.responses import Response
 from pydantic import Field
 
-from sms_jobs.app import last_frames, recordings
+from sms_jobs.app.measuring import last_frames, recordings
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.shown.last_frames import LastFrame
 from sms_jobs.records.shown.rehearsals import DryRun

@@ -10,7 +10,7 @@ from fastapi import Body
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
-from sms_jobs.app import rigs
+from sms_jobs.app.measuring import rigs
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.web.asked import Asked, LongText, Name
 from sms_jobs.web.identity import Acting

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import Query
 from fastapi.responses import Response
 
-from sms_jobs.app import run_comparison, runs
+from sms_jobs.app.work import run_comparison, runs
 from sms_jobs.records.shown.runs import RunComparison, RunStory, RunView
 from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting

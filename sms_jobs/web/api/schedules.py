@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app import schedules
+from sms_jobs.app.work import schedules
 from sms_jobs.errors import InvalidInput
 from sms_jobs.web.api.jobs import NewJobs
 from sms_jobs.web.asked import Asked, Name, Text

@@ -10,10 +10,10 @@ from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from sms_jobs.app import identity as identities
-from sms_jobs.app import people
-from sms_jobs.app.identity import Identity
-from sms_jobs.app.people import LoggedIn
+from sms_jobs.app.accounts import identity as identities
+from sms_jobs.app.accounts import people
+from sms_jobs.app.accounts.identity import Identity
+from sms_jobs.app.accounts.people import LoggedIn
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import ANONYMOUS
 from sms_jobs.web.asked import Asked, Text

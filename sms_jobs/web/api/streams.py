@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from sms_jobs.app import streams
-from sms_jobs.app.streams import Task
+from sms_jobs.app.measuring import streams
+from sms_jobs.app.measuring.streams import Task
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.events import typed_event
 from sms_jobs.records.shown.streams import StreamRehearsal

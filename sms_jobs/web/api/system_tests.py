@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from sms_jobs.app import system_tests
-from sms_jobs.app.system_tests import BarCertificate, PlannedPosition, PlateCertificate
+from sms_jobs.app.calibrating import system_tests
+from sms_jobs.app.calibrating.system_tests import BarCertificate, PlannedPosition, PlateCertificate
 from sms_jobs.records.shown.system_tests import SystemVerdict
 from sms_jobs.web.asked import Asked, Text, Texts
 from sms_jobs.web.identity import Acting

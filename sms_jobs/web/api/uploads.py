@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from fastapi import Body, Header, Path, Query, Response
 
-from sms_jobs.app import uploads
-from sms_jobs.app.uploads import Chunk, Upload, UploadedFile
+from sms_jobs.app.importing import uploads
+from sms_jobs.app.importing.uploads import Chunk, Upload, UploadedFile
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import identity, people
+from sms_jobs.app.accounts import identity, people
 from sms_jobs.errors import NotFound
 from sms_jobs.web.console import Page, Pages
 

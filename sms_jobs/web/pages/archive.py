@@ -7,7 +7,8 @@ from typing import Annotated
 from fastapi import Query
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import archive, campaigns, files, finding
+from sms_jobs.app.holdings import archive, files, finding
+from sms_jobs.app.specimens import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.files import Page as Found
 from sms_jobs.web.console import Entry, Page, Pages

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Query
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import audit
+from sms_jobs.app.accounts import audit
 from sms_jobs.records.people import Right
 from sms_jobs.web.console import Entry, Page, Pages
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi.responses import HTMLResponse
 from markupsafe import Markup
 
-from sms_jobs.app import calibration_drift, calibration_worth, calibrations
-from sms_jobs.app.calibration_drift import Drift
+from sms_jobs.app.calibrating import calibration_drift, calibration_worth, calibrations
+from sms_jobs.app.calibrating.calibration_drift import Drift
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.console import Entry, Page, Pages
 

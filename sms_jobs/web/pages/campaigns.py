@@ -9,7 +9,9 @@ from typing import Annotated
 from fastapi import Query
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import campaign_matrix, campaigns, jobs, kinds, recordings
+from sms_jobs.app.measuring import recordings
+from sms_jobs.app.specimens import campaign_matrix, campaigns
+from sms_jobs.app.work import jobs, kinds
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.web.console import Entry, Page, Pages

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 from fastapi import Path, Query
 from fastapi.responses import HTMLResponse, Response
 
-from sms_jobs.app import exporting, field_pages
-from sms_jobs.app.field_pages import Alike, FieldPage
+from sms_jobs.app.fields import exporting, field_pages
+from sms_jobs.app.fields.field_pages import Alike, FieldPage
 from sms_jobs.web.console import Page, Pages
 
 PAGES = Pages("field")

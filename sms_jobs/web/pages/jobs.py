@@ -7,7 +7,9 @@ from typing import Annotated
 from fastapi import Query
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import campaigns, files, jobs, kinds
+from sms_jobs.app.holdings import files
+from sms_jobs.app.specimens import campaigns
+from sms_jobs.app.work import jobs, kinds
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 from sms_jobs.web.console import Entry, Page, Pages
 from sms_jobs.web.lineage import drawn

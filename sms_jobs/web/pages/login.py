@@ -9,7 +9,7 @@ from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from pydantic import SecretStr, ValidationError
 
-from sms_jobs.app import openid
+from sms_jobs.app.accounts import openid
 from sms_jobs.errors import NotAllowed
 from sms_jobs.web.api import session
 from sms_jobs.web.console import LOGIN, Pages, frame

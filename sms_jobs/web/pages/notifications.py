@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import notifications
+from sms_jobs.app.accounts import notifications
 from sms_jobs.records.shown.notifications import TOPICS
 from sms_jobs.web.console import Entry, Page, Pages
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import jobs, queues, recordings, rigs, service
+from sms_jobs.app.home import service
+from sms_jobs.app.measuring import recordings, rigs
+from sms_jobs.app.work import jobs, queues
 from sms_jobs.records.job import JobState
 from sms_jobs.web.api import home
 from sms_jobs.web.console import Entry, Page, Pages

@@ -10,8 +10,8 @@ from urllib.parse import quote, urlsplit
 from fastapi import Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
-from sms_jobs.app import openid
-from sms_jobs.app.openid import Journey
+from sms_jobs.app.accounts import openid
+from sms_jobs.app.accounts.openid import Journey
 from sms_jobs.errors import NotAllowed
 from sms_jobs.web.api import session
 from sms_jobs.web.console import Pages, frame

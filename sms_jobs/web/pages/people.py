@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import people
+from sms_jobs.app.accounts import people
 from sms_jobs.records.people import Right, Role
 from sms_jobs.web.console import Entry, Page, Pages
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import campaigns, jobs, last_frames, planned_recordings, quick_looks, recordings, rigs
+from sms_jobs.app.measuring import last_frames, planned_recordings, quick_looks, recordings, rigs
+from sms_jobs.app.specimens import campaigns
+from sms_jobs.app.work import jobs
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import NotFound
 from sms_jobs.records.job import JobState

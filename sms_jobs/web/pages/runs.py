@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Query
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import run_comparison, runs
+from sms_jobs.app.work import run_comparison, runs
 from sms_jobs.web.console import Entry, Page, Pages
 
 PAGES = Pages("runs", Entry("Runs", "/runs", 25))

@@ -11,7 +11,8 @@ from zoneinfo import ZoneInfo
 
 from fastapi.responses import HTMLResponse
 
-from sms_jobs.app import campaigns, kinds, schedules
+from sms_jobs.app.specimens import campaigns
+from sms_jobs.app.work import kinds, schedules
 from sms_jobs.records.shown.schedules import MOST_A_DAY, FiringsOfDay
 from sms_jobs.web.console import Entry, Page, Pages
 

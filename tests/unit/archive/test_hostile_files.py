@@ -18,7 +18,8 @@ from sms_jobs.archive import Archive, Checker, Sealed, limits
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import ArchiveCorrupt
-from sms_jobs.jobs import reindexing, verification
+from sms_jobs.jobs.keeping import verification
+from sms_jobs.jobs.rebuilding import reindexing
 
 
 @pytest.fixture(scope="module")

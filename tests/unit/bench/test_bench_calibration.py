@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.bench.bar_session import TABLE_3, SessionDesign, bar_session, seen_on_sphere, sphere_centres
 from sms_jobs.bench.groups.calibration import point_errors
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
+from sms_jobs.bench.sessions.bar_session import (
+    TABLE_3,
+    SessionDesign,
+    bar_session,
+    seen_on_sphere,
+    sphere_centres,
+)
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
 from sms_jobs.metrology.geometry.camera import project
 
 SMALL = SessionDesign(

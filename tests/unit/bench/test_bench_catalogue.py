@@ -8,7 +8,7 @@ import pytest
 
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import catalogue
-from sms_jobs.bench.large_questions import QUESTIONS
+from sms_jobs.bench.large.questions import QUESTIONS
 from sms_jobs.bench.servers import POSTGRESQL
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sms_jobs.bench.correlated.truth_pairs import pairs
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import coverage
-from sms_jobs.bench.truth_pairs import pairs
 from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 
 

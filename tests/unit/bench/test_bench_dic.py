@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from sms_jobs.bench.correlated.speckle_pairs import halves, quadratic, shift, speckle_pair
 from sms_jobs.bench.groups.dic import Points, errors, labelled, places
-from sms_jobs.bench.speckle_pairs import halves, quadratic, shift, speckle_pair
 
 SIZE = 96
 

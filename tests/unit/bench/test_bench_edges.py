@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sms_jobs.bench.shelf import reconstructed
 from sms_jobs.bench.studies.edges import (
     WAYS,
     Profile,
@@ -15,6 +14,7 @@ from sms_jobs.bench.studies.edges import (
     exact_image_displacement,
     profiles,
 )
+from sms_jobs.testing.shelf import reconstructed
 from sms_jobs.virtual_rig.campaigns import hole_and_step_translation
 
 

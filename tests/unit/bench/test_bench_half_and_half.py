@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sms_jobs.bench.half_and_half import match_halves
+from sms_jobs.bench.correlated.half_and_half import match_halves
 from sms_jobs.bench.studies.half_and_half import by_distance
 
 SHIFTS = ((0.4, 0.8), (1.2, 2.4))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sms_jobs.bench.speckle_pairs import affine_speckle
+from sms_jobs.bench.correlated.speckle_pairs import affine_speckle
 from sms_jobs.bench.studies.large_rotation import series
 
 

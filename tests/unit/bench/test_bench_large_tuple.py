@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sms_jobs.bench import large_tuple
+from sms_jobs.bench.large import tuples
 from sms_jobs.bench.peak_memory import peak_rss_mb
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence
@@ -15,9 +15,9 @@ from sms_jobs.records.reasons import Reason
 SEQUENCE = FringeSequence(tuple(range(8)))
 
 
-def made(threads: int = 1) -> large_tuple.SyntheticFrames:
-    calibration = large_tuple.rig(48)
-    return large_tuple.SyntheticFrames(large_tuple.scene(calibration, SEQUENCE), SEQUENCE, threads)
+def made(threads: int = 1) -> tuples.SyntheticFrames:
+    calibration = tuples.rig(48)
+    return tuples.SyntheticFrames(tuples.scene(calibration, SEQUENCE), SEQUENCE, threads)
 
 
 def test_frames_do_not_depend_on_threads_or_order() -> None:
@@ -35,15 +35,15 @@ def test_frames_have_the_noise_that_the_measurement_states() -> None:
     lit = sums.mean(axis=0) > 400.0
     level = frames[2:30].mean(axis=0)
     variance = sums.var(axis=0, ddof=1) / 2.0
-    expected = large_tuple.READ_NOISE**2 + 1.0 / 12.0 + large_tuple.GAIN * level
+    expected = tuples.READ_NOISE**2 + 1.0 / 12.0 + tuples.GAIN * level
     # Some 2000 pixels of 7 sums each give the mean ratio to 1.3 %.
     assert abs(np.mean((variance / expected)[lit]) - 1.0) < 0.06
 
 
 def test_a_sealed_tuple_is_reconstructed_in_place(home: Path) -> None:
-    size = large_tuple.seal(home, "tiny", 48, 1)
+    size = tuples.seal(home, "tiny", 48, 1)
     assert 0.0 < size < 0.01
-    output = large_tuple.reconstruct(home, "tiny", 1)
+    output = tuples.reconstruct(home, "tiny", 1)
     cloud = output.records["surface"]
     assert isinstance(cloud, Surface)
     valid = cloud.reason == Reason.VALID

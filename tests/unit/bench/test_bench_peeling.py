@@ -7,7 +7,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from sms_jobs.bench.returns import FULL_SCALE, pairs, rms, simulate, wrapped
+from sms_jobs.bench.fringes.returns import FULL_SCALE, pairs, rms, simulate, wrapped
 from sms_jobs.metrology.phase.ranging.bound import omega_bounds
 
 FRINGES = 64

@@ -12,10 +12,10 @@ import pytest
 from sms_jobs.bench import peers as programs
 from sms_jobs.bench.baselines import matched_by_opencv, unwrapped_by_numpy
 from sms_jobs.bench.figures import Condition, Figure, Run
+from sms_jobs.bench.fringes.returns import wrapped
 from sms_jobs.bench.groups import peers
 from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames
 from sms_jobs.bench.peers import PEERS, SCRIPTS, Ratio, in_turn, started
-from sms_jobs.bench.returns import wrapped
 from sms_jobs.bench.roofline import Peak, matching_work
 from sms_jobs.errors import SmsError
 

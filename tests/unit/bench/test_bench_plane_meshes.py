@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sms_jobs.bench.plane_meshes import field_at
+from sms_jobs.bench.two_cameras.plane_meshes import field_at
 
 
 def two_elements() -> tuple[np.ndarray, np.ndarray]:

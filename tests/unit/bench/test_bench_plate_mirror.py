@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sms_jobs.bench import plate_mirror
-from sms_jobs.bench.plate_mirror import Plate, only, record, rms_off
+from sms_jobs.bench.fringes import plate_mirror
+from sms_jobs.bench.fringes.plate_mirror import Plate, only, record, rms_off
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.records.fields import Surface
 from sms_jobs.virtual_rig.light import trace

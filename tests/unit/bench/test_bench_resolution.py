@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sms_jobs.bench import star
-from sms_jobs.bench.lone_camera import DEFORMED, correlated
+from sms_jobs.bench.correlated import star
+from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
 from sms_jobs.bench.studies import resolution
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 

@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from sms_jobs.bench.returns import (
+from sms_jobs.bench.fringes.returns import (
     FULL_SCALE,
     found_near,
     pairs,

@@ -7,18 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sms_jobs.bench.rigid_plates import finely_recorded, search_range_px, shifted_plate, true_shift
-from sms_jobs.bench.shelf import Shelf
-from sms_jobs.bench.stereo_errors import (
+from sms_jobs.bench.two_cameras.errors import (
     PointErrors,
     displacement_errors,
     reported_over_observed,
     shape_errors,
 )
+from sms_jobs.bench.two_cameras.rigid_plates import (
+    finely_recorded,
+    search_range_px,
+    shifted_plate,
+    true_shift,
+)
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.fields import DisplacementField, Surface
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.truth import Truth
 
 COLUMNS, ROWS = 96, 80

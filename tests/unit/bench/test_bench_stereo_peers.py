@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from sms_jobs.bench.peers import PEERS, peers_folder
-from sms_jobs.bench.stereo_peers import Case, Outcome, prepare
+from sms_jobs.bench.two_cameras.peers import Case, Outcome, prepare
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign
 
 

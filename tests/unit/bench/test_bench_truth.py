@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from sms_jobs.bench.correlated.truth_pairs import READ_NOISE, TruthPair, pairs
 from sms_jobs.bench.groups.truth import cracks_of, judged, judged_crack
-from sms_jobs.bench.truth_pairs import READ_NOISE, TruthPair, pairs
 
 SEED = 7
 

@@ -12,9 +12,9 @@ import pytest
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import witness
 from sms_jobs.bench.peers import PEERS
-from sms_jobs.bench.witness_effects import halved_hat
-from sms_jobs.bench.witness_fringes import record
-from sms_jobs.bench.witness_scenes import mesh_truth, sheets_of, told_sensor
+from sms_jobs.bench.witness.effects import halved_hat
+from sms_jobs.bench.witness.fringes import record
+from sms_jobs.bench.witness.scenes import mesh_truth, sheets_of, told_sensor
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Cylinder, Simulation

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.bench.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
+from sms_jobs.bench.sessions.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_covariance import point_covariance, point_standard_deviation
-from sms_jobs.metrology.calibration.bundle_problem import BundleOptions, BundleProblem, SensorPrior
-from sms_jobs.metrology.calibration.bundle_result import Adjustment
-from sms_jobs.metrology.calibration.bundle_weights import Consistency
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.bundle.covariance import point_covariance, point_standard_deviation
+from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem, SensorPrior
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
+from sms_jobs.metrology.calibration.bundle.weights import Consistency
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import KEPT, LENS, Intrinsics, pixel_jacobian
 from sms_jobs.metrology.geometry.transforms import transform

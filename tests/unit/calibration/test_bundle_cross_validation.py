@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sms_jobs.bench.bar_session import TABLE_3, SessionDesign, bar_session
+from sms_jobs.bench.sessions.bar_session import TABLE_3, SessionDesign, bar_session
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_cross_validation import cross_validate, restarted
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.bundle.cross_validation import cross_validate, restarted
 
 TILTS = ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, -0.3, 0.2), (-0.2, 0.2, 0.0))
 SMALL = SessionDesign(points=40, camera_pixels=512, angles=TABLE_3[::2], board_tilts=TILTS)

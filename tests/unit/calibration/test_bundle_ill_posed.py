@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sms_jobs.bench.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
+from sms_jobs.bench.sessions.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
 from sms_jobs.errors import CalibrationFailed, InvalidInput
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_checks import _in_sight
-from sms_jobs.metrology.calibration.bundle_problem import BarPoints, BundleProblem
-from sms_jobs.metrology.calibration.bundle_weak_directions import described, weakest_direction
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.bundle.checks import _in_sight
+from sms_jobs.metrology.calibration.bundle.problem import BarPoints, BundleProblem
+from sms_jobs.metrology.calibration.bundle.weak_directions import described, weakest_direction
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, project
 from sms_jobs.metrology.geometry.lens import KEPT

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.metrology.calibration.bundle_covariance import point_jacobian
-from sms_jobs.metrology.calibration.bundle_rays import along_change, gap_change
-from sms_jobs.metrology.calibration.bundle_residuals import (
+from sms_jobs.metrology.calibration.bundle.covariance import point_jacobian
+from sms_jobs.metrology.calibration.bundle.rays import along_change, gap_change
+from sms_jobs.metrology.calibration.bundle.residuals import (
     BOARD_SIZE,
     SPHERE_SIZE,
     board_rows,

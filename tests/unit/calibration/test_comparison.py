@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.comparison import (
+from sms_jobs.metrology.calibration.checking.comparison import (
     CalibrationComparison,
     compare_calibrations,
     parameter_change,

@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.drift import (
+from sms_jobs.metrology.calibration.checking.drift import (
     CHANGES,
     DriftCheck,
     DriftOptions,
     check_drift,
     pair_changes,
 )
-from sms_jobs.metrology.calibration.gap_blocks import block_gaps
+from sms_jobs.metrology.calibration.checking.gap_blocks import block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, pixel_grid, project, ray_directions

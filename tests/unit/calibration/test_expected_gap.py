@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.calibration.expected_gap import expected_gap_px, pixel_size
+from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px, pixel_size
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics

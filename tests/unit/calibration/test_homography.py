@@ -7,8 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
-from sms_jobs.metrology.calibration.direct_linear_transform import direct_linear_transform
-from sms_jobs.metrology.calibration.homography import apply_homography, fit_homography, flatness, normalising
+from sms_jobs.metrology.calibration.starting.direct_linear_transform import direct_linear_transform
+from sms_jobs.metrology.calibration.starting.homography import (
+    apply_homography,
+    fit_homography,
+    flatness,
+    normalising,
+)
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 

@@ -12,14 +12,14 @@ from support.board_adjustments import board_problem
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.board_views import BoardView
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.initialisation import InitialCalibration, initialise
-from sms_jobs.metrology.calibration.planar_intrinsics import (
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
+from sms_jobs.metrology.calibration.starting.initialisation import InitialCalibration, initialise
+from sms_jobs.metrology.calibration.starting.planar_intrinsics import (
     intrinsics_from_homographies,
     pose_from_homography,
 )
-from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
-from sms_jobs.metrology.calibration.sensor_refinement import SeenPoints, refine_sensor
+from sms_jobs.metrology.calibration.starting.sensor_refinement import SeenPoints, refine_sensor
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform

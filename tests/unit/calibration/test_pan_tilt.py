@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
-from sms_jobs.metrology.calibration.pan_tilt import (
+from sms_jobs.metrology.calibration.stage.pan_tilt import (
     Stage,
     bar_geometry,
     centre_jacobian,
@@ -24,7 +24,7 @@ from sms_jobs.metrology.calibration.pan_tilt import (
     stage_rotation,
     turning_axis,
 )
-from sms_jobs.metrology.calibration.pan_tilt_refinement import (
+from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import (
     refine_stage,
     search_margin_mm,
     sphere_regions,

@@ -18,9 +18,14 @@ from sms_jobs.metrology.calibration.point_factor import (
     sigma_of,
     square_root,
 )
-from sms_jobs.metrology.deformation.common_errors import directional, mean_slopes, strain_factor, tangents
-from sms_jobs.metrology.deformation.gauges import GaugePlace, read_gauge
-from sms_jobs.metrology.deformation.strain import surface_strain
+from sms_jobs.metrology.deformation.strain.common_errors import (
+    directional,
+    mean_slopes,
+    strain_factor,
+    tangents,
+)
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, read_gauge
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Camera, pixel_grid, project, ray_directions
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
 from sms_jobs.metrology.geometry.triangulation import Projector, triangulate

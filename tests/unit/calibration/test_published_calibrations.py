@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from support.board_adjustments import board_problem
 
 from sms_jobs.metrology.calibration.board_views import BoardView
-from sms_jobs.metrology.calibration.bundle_adjustment import adjust
-from sms_jobs.metrology.calibration.bundle_problem import BundleOptions
-from sms_jobs.metrology.calibration.bundle_result import Adjustment
-from sms_jobs.metrology.calibration.initialisation import InitialCalibration, initialise
-from sms_jobs.metrology.calibration.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
+from sms_jobs.metrology.calibration.bundle.adjustment import adjust
+from sms_jobs.metrology.calibration.bundle.problem import BundleOptions
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
+from sms_jobs.metrology.calibration.starting.initialisation import InitialCalibration, initialise
+from sms_jobs.metrology.calibration.starting.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose, transform

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sms_jobs.catalogue.quantities import in_other_units
-from sms_jobs.catalogue.query_language import (
+from sms_jobs.catalogue.queries.language import (
     DEEPEST,
     LONGEST_TEXT,
     AllOf,
@@ -28,6 +27,7 @@ from sms_jobs.catalogue.query_language import (
     parse,
     values_of,
 )
+from sms_jobs.catalogue.queries.quantities import in_other_units
 from sms_jobs.errors import InvalidInput
 
 

@@ -10,8 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.metrology.calibration.rigid_alignment import rigid_modes
-from sms_jobs.metrology.deformation.alignment import CommonPoints, align_views
-from sms_jobs.metrology.deformation.joining import StrainedSurface, brought, differences, turned_in_plane
+from sms_jobs.metrology.deformation.joining.alignment import CommonPoints, align_views
+from sms_jobs.metrology.deformation.joining.common_frame import (
+    StrainedSurface,
+    brought,
+    differences,
+    turned_in_plane,
+)
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, inverse, pack, rotation_vector, transform
 

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.deformation.camera_matching import _taken_for_a_shift
-from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, match_points, prepare_images
-from sms_jobs.metrology.deformation.verification import verify_displacement
+from sms_jobs.metrology.deformation.matching.camera_matching import _taken_for_a_shift
+from sms_jobs.metrology.deformation.matching.correlation import (
+    CONVERGED,
+    MatchSettings,
+    match_points,
+    prepare_images,
+)
+from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 
 SIZE, BLUR, RADIUS = 120, 0.44, 12
 

@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 from support.two_cameras import PITCH_MM, VOLUME, Floats, Height, cameras, curved, flat, seen_by
 
-from sms_jobs.metrology.deformation.camera_matching import (
+from sms_jobs.metrology.deformation.matching.camera_matching import (
     RaySearch,
     TexturedCamera,
     distance_from_rays,
     match_cameras,
 )
-from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, Noise, prepare_images
-from sms_jobs.metrology.deformation.epipolar_search import Width, search_along_rays
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings
-from sms_jobs.metrology.deformation.sampling import sample_nodes
+from sms_jobs.metrology.deformation.matching.correlation import (
+    CONVERGED,
+    MatchSettings,
+    Noise,
+    prepare_images,
+)
+from sms_jobs.metrology.deformation.matching.epipolar_search import Width, search_along_rays
+from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings
+from sms_jobs.metrology.deformation.matching.sampling import sample_nodes
 from sms_jobs.metrology.geometry.camera import project
 
 RADIUS, SPACING = 12, 6

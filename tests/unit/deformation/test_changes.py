@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.changes import change_of, sigma_of_difference
+from sms_jobs.metrology.deformation.fields.changes import change_of, sigma_of_difference
 
 
 def test_numbers_are_over_the_points_that_both_have() -> None:

@@ -7,8 +7,13 @@ import pytest
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, match_points, prepare_images
+from sms_jobs.metrology.deformation.matching import correlation
+from sms_jobs.metrology.deformation.matching.correlation import (
+    MatchSettings,
+    Noise,
+    match_points,
+    prepare_images,
+)
 
 SIZE = 96
 AFFINE = np.array([1.37, 0.004, -0.003, -0.82, 0.002, 0.005])  # u, ux, uy, v, vx, vy about the middle

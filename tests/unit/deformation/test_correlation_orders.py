@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching import correlation
+from sms_jobs.metrology.deformation.matching.correlation import (
     Matches,
     MatchSettings,
     Noise,
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings
-from sms_jobs.metrology.deformation.shape_functions import carried
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.shape_functions import carried
 from sms_jobs.metrology.images.spline import Interpolant
 
 Order = Literal[0, 1, 2]

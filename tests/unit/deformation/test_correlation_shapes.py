@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.shape_functions import carried, compose_inverse, inside, places, warped
+from sms_jobs.metrology.deformation.matching.shape_functions import (
+    carried,
+    compose_inverse,
+    inside,
+    places,
+    warped,
+)
 from sms_jobs.metrology.images.spline import PADDING
 
 AFFINE = (0.3, 0.02, -0.01, -0.4, 0.015, 0.03)

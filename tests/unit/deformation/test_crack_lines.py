@@ -10,9 +10,9 @@ import pytest
 from scipy import ndimage
 from support.matched import spread_over_pixels
 
-from sms_jobs.metrology.deformation.correlation import Noise, PreparedImages, prepare_images
-from sms_jobs.metrology.deformation.crack_lines import crack_lines
-from sms_jobs.metrology.deformation.verification import verify_displacement
+from sms_jobs.metrology.deformation.cracks.lines import crack_lines
+from sms_jobs.metrology.deformation.matching.correlation import Noise, PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 
 SIZE, RADIUS, SMOOTHING, NOISE = 220, 10, 0.6, 12.0

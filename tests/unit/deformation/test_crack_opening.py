@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.crack_opening import CrackOpening, Field, crack_openings
+from sms_jobs.metrology.deformation.cracks.opening import CrackOpening, Field, crack_openings
 
 SIZE, RADIUS = 200, 8
 ROW, COLUMN = np.mgrid[0:SIZE, 0:SIZE].astype(float)

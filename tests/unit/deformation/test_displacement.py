@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation import displacement
-from sms_jobs.metrology.deformation.averaging import average_in_region
-from sms_jobs.metrology.deformation.correlation import MatchSettings, match_points, prepare_images
-from sms_jobs.metrology.deformation.displacement import (
+from sms_jobs.metrology.deformation.fields import displacement
+from sms_jobs.metrology.deformation.fields.averaging import average_in_region
+from sms_jobs.metrology.deformation.fields.displacement import (
     ImagePoints,
     StateShape,
     blend_matches,
     displacement_field,
     pixel_pitch,
 )
+from sms_jobs.metrology.deformation.matching.correlation import MatchSettings, match_points, prepare_images
 
 ROWS, COLUMNS = 60, 70
 PITCH = 0.8

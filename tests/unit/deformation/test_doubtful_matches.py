@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     LEFT_IMAGE,
     NO_TEXTURE,
@@ -17,10 +17,10 @@ from sms_jobs.metrology.deformation.correlation import (
     blank_matches,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.doubtful import check_again, outliers
-from sms_jobs.metrology.deformation.matching import GridMatches, GridSettings, match_grid
-from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.doubtful import check_again, outliers
+from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 
 SIZE = 128
 HOW = MatchSettings(radius=8), GridSettings(spacing=6), SearchSettings(50, 20, template_radius=12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.metrology.deformation.comparison import free_of_motion, laid_on, values_at
+from sms_jobs.metrology.deformation.fields.comparison import free_of_motion, laid_on, values_at
 
 
 def test_a_linear_field_is_found_between_the_nodes_of_another(rng: np.random.Generator) -> None:

@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from sms_jobs.bench.lone_camera import DEFORMED, correlated
-from sms_jobs.bench.speckle_pairs import speckle_pair
+from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
+from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
-from sms_jobs.metrology.deformation.finer_subsets import Subsets, Verdict, better_of, ladder, worth_trying
-from sms_jobs.metrology.deformation.verification import Verified
+from sms_jobs.metrology.deformation.matching.finer_subsets import (
+    Subsets,
+    Verdict,
+    better_of,
+    ladder,
+    worth_trying,
+)
+from sms_jobs.metrology.deformation.matching.verification import Verified
 
 SHAPE = (60, 80)
 

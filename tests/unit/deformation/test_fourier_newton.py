@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import MatchSettings, Noise, match_points, prepare_images
-from sms_jobs.metrology.deformation.fourier_newton import (
+from sms_jobs.metrology.deformation.matching import correlation
+from sms_jobs.metrology.deformation.matching.correlation import (
+    MatchSettings,
+    Noise,
+    match_points,
+    prepare_images,
+)
+from sms_jobs.metrology.deformation.matching.fourier_newton import (
     correlation_along,
     cross_spectrum,
     match_by_cross_correlation,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.gauges import GaugePlace, profile_along, read_gauge
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, profile_along, read_gauge
 
 ROWS, COLUMNS, PITCH = 60, 80, 0.5
 ONE = np.ones((ROWS, COLUMNS), dtype=np.int32)

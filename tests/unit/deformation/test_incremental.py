@@ -7,24 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching import correlation
+from sms_jobs.metrology.deformation.matching.correlation import (
     Matches,
     MatchSettings,
     Noise,
     PreparedImages,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.incremental import (
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_nodes
+from sms_jobs.metrology.deformation.matching.incremental import (
     Followed,
     compose,
     composed_sigma,
     follow,
     match_in_steps,
 )
-from sms_jobs.metrology.deformation.matching import GridSettings, match_nodes
-from sms_jobs.metrology.deformation.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 
 SIZE, MIDDLE, RADIUS = 128, 63.5, 46.0
 NOISE = 10.0  # grey levels, of a contrast of 150

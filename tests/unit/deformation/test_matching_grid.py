@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.correlation import CONVERGED, MatchSettings, prepare_images
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.sampling import choose_seeds, sample_grid, sample_nodes
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.correlation import CONVERGED, MatchSettings, prepare_images
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sample_grid, sample_nodes
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 
 SIZE = 128
 SETTINGS = MatchSettings(radius=8), GridSettings(spacing=4), SearchSettings(30, 10, template_radius=12)

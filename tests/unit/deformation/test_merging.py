@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.deformation.merging import (
+from sms_jobs.metrology.deformation.joining.merging import (
     combine_labels,
     correlation_of_pairs,
     join_meshes,

@@ -11,15 +11,15 @@ import pytest
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     MatchSettings,
     Noise,
     match_points,
     prepare_images,
 )
-from sms_jobs.metrology.deformation.matching import GridSettings, match_grid
-from sms_jobs.metrology.deformation.seeding import SearchSettings
+from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
+from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.images.region_of_interest import (
     inside_outlines,
     outlines_of,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.bench.published_stereo import FOLDER, STATES, between_cameras, in_time, published
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
+from sms_jobs.bench.two_cameras.published import FOLDER, STATES, between_cameras, in_time, published
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.deformation.rigid_motion import common_factor, rigid_motion
+from sms_jobs.metrology.deformation.fields.rigid_motion import common_factor, rigid_motion
 from sms_jobs.metrology.geometry.specimen_frame import tiles_of
 from sms_jobs.metrology.geometry.transforms import rotation_matrix, rotation_vector
 

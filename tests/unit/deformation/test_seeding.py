@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.metrology.deformation.seeding import (
+from sms_jobs.metrology.deformation.matching.seeding import (
     SearchSettings,
     masked_correlation,
     repeats_itself,

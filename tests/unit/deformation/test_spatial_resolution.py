@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy import optimize, special
 
-from sms_jobs.bench import star
-from sms_jobs.bench.lone_camera import DEFORMED, correlated
-from sms_jobs.bench.speckle_pairs import speckle_pair
+from sms_jobs.bench.correlated import star
+from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
+from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
-from sms_jobs.metrology.deformation.averaging import average_in_region
-from sms_jobs.metrology.deformation.displacement import ImagePoints, blend_matches
-from sms_jobs.metrology.deformation.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.spatial_resolution import (
+from sms_jobs.metrology.deformation.fields.averaging import average_in_region
+from sms_jobs.metrology.deformation.fields.displacement import ImagePoints, blend_matches
+from sms_jobs.metrology.deformation.fields.spatial_resolution import (
     left_by_averaging,
     left_by_blending,
     left_by_gauge,
@@ -23,7 +22,8 @@ from sms_jobs.metrology.deformation.spatial_resolution import (
     response_of_subsets,
     strain_resolution,
 )
-from sms_jobs.metrology.deformation.strain import surface_strain
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 SIZE = 161
 ONE = np.ones((SIZE, SIZE), np.int32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sms_jobs.metrology.deformation.splitting import cut_out, split_regions
+from sms_jobs.metrology.deformation.cracks.splitting import cut_out, split_regions
 
 
 def grid(rows: int, columns: int, step: int) -> tuple[np.ndarray, np.ndarray]:

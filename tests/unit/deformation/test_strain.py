@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sms_jobs.metrology.deformation.averaging import average_in_region
-from sms_jobs.metrology.deformation.strain import surface_strain
-from sms_jobs.metrology.deformation.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.fields.averaging import average_in_region
+from sms_jobs.metrology.deformation.strain.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 ROWS, COLUMNS, PITCH = 60, 64, 0.5
 NONE = np.zeros((6, ROWS, COLUMNS))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.matched import spread_over_pixels
 
-from sms_jobs.metrology.deformation.correlation import Noise, PreparedImages, prepare_images
-from sms_jobs.metrology.deformation.verification import Verified, verify_displacement
+from sms_jobs.metrology.deformation.matching.correlation import Noise, PreparedImages, prepare_images
+from sms_jobs.metrology.deformation.matching.verification import Verified, verify_displacement
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 
 SIZE, RADIUS, SMOOTHING, NOISE = 160, 10, 0.6, 20.0

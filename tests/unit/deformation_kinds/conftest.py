@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sms_jobs.kinds.deformation import correlate, merge, strain
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need, Parameters
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind, Need
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.calibration import CalibrationUncertainty

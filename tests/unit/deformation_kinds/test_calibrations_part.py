@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.bench.drawn_calibrations import off_calibrations
+from sms_jobs.bench.sessions.drawn_calibrations import off_calibrations
 from sms_jobs.kinds.calibration_factors import states_from
 from sms_jobs.kinds.deformation import gauges
 from sms_jobs.kinds.deformation.gauges import GaugesParameters

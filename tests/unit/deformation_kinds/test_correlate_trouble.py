@@ -10,8 +10,8 @@ import numpy as np
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.point_matches import summary
-from sms_jobs.metrology.deformation import correlation
-from sms_jobs.metrology.deformation.splitting import Split
+from sms_jobs.metrology.deformation.cracks.splitting import Split
+from sms_jobs.metrology.deformation.matching import correlation
 from sms_jobs.records.reasons import Reason
 
 VIEW = "C1P1"

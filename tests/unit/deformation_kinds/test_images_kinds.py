@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.bench.in_memory import InMemory
-from sms_jobs.bench.speckle_pairs import Floats, speckle_pair
+from sms_jobs.bench.correlated.speckle_pairs import Floats, speckle_pair
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation import correlate, gauges, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.deformation.strain import StrainParameters
-from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Parameters
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.shape import plane
 from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.metrology.geometry.planes import covariance_in_space
@@ -27,6 +27,7 @@ from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory
 
 SIZE, NOISE = 160, 8.0
 ALONG, ACROSS, SHEAR = 4e-3, -1.2e-3, 1e-3

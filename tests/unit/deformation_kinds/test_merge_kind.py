@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.kinds.deformation import merge
-from sms_jobs.metrology.deformation.merging import correlation_of_pairs
+from sms_jobs.metrology.deformation.joining.merging import correlation_of_pairs
 from sms_jobs.records.reasons import Reason
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from sms_jobs.jobs.planning import Existing, Request, plan
+from sms_jobs.jobs.planning.graph import Existing, Request, plan
 from sms_jobs.kinds.deformation import gauges, strain
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.deformation.strain import StrainParameters
-from sms_jobs.kinds.kind import Kind, Need, Parameters
+from sms_jobs.kinds.kind import Kind, Need
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 

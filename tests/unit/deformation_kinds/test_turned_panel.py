@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.app.frame_finding import Finder
-from sms_jobs.app.specimen_axes import in_specimen_frame
-from sms_jobs.app.specimen_frames import Choice, Place
-from sms_jobs.bench.shelf import Shelf, reconstructed
+from sms_jobs.app.specimens.frame_finding import Finder
+from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
+from sms_jobs.app.specimens.specimen_frames import Choice, Place
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import known_view
 from sms_jobs.kinds.deformation import correlate, gauges, merge, strain
@@ -22,6 +21,7 @@ from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, tra
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.specimen_frame import SpecimenFrame
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import placed, small_plate
 
 VIEW = "C1P1"

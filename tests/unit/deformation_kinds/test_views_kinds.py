@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.bench.in_memory import InMemory
-from sms_jobs.bench.shelf import Shelf
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.deformation import align, combine, correlate, merge, strain
 from sms_jobs.kinds.kind import CALIBRATION, Inputs
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.shape import reconstruct
-from sms_jobs.metrology.deformation.joining import vertex_normals
+from sms_jobs.metrology.deformation.joining.common_frame import vertex_normals
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_vector, transform
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Plane
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory
+from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import placed, small_plate
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 

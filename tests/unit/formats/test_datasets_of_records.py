@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from sms_jobs.app.reading import StoredRecord
-from sms_jobs.app.specimen_axes import in_specimen_frame
+from sms_jobs.app.holdings.reading import StoredRecord
+from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
 from sms_jobs.archive import Provenance
 from sms_jobs.formats.drawing.quantities import shown_of
 from sms_jobs.lab.datasets import dataset_of

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from support.planes import moved_in_plane, one_region, plane, strain_in_plane
 
-from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.exporter import PointGrid
@@ -23,6 +22,7 @@ from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory
 
 SCALE = 0.05
 SHAPE = (12, 20)

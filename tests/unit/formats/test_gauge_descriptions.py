@@ -11,7 +11,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge, gauge_from, read_gauge_file
 from sms_jobs.formats.profiles import GaugeRow, compared
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
-from sms_jobs.metrology.deformation.gauges import GaugePlace
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace
 
 
 def test_a_gauge_is_read_with_its_defaults() -> None:

@@ -23,7 +23,7 @@ from sms_jobs.formats.provenance_document import (
     DocumentedInput,
     provenance_document,
 )
-from sms_jobs.jobs import lineage_documents
+from sms_jobs.jobs.portable import lineage_documents
 from sms_jobs.records.subject import Subject
 
 NOW = datetime(2026, 3, 1, 12, 0, 5, tzinfo=UTC)

@@ -8,7 +8,7 @@ import pytest
 
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.formats.configuration import parse_campaign
-from sms_jobs.jobs.recordings import Turn, turns
+from sms_jobs.jobs.recording.recordings import Turn, turns
 from sms_jobs.records.campaign import Campaign
 
 TEST = """

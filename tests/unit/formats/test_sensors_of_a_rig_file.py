@@ -12,7 +12,7 @@ import pytest
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.formats.rig_configuration import SIMULATED_SENSORS, example_rig, parse_rig
 from sms_jobs.instruments.optical_drivers import camera_drivers, projector_drivers
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.records.optical_instruments import CameraInstrument, VirtualCamera
 
 

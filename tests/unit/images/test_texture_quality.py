@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.bench.speckle_pairs import shift, speckle_pair
-from sms_jobs.metrology.deformation.correlation import (
+from sms_jobs.bench.correlated.speckle_pairs import shift, speckle_pair
+from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     MatchSettings,
     Noise,

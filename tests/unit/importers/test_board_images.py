@@ -17,11 +17,11 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli.importing import app
+from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import InvalidInput, SmsError
 from sms_jobs.formats.calibration_figures import draw_expected_sigma
 from sms_jobs.formats.importers.boards import load_board, session_of_boards
-from sms_jobs.jobs.calibrations import measuring_pairs
+from sms_jobs.jobs.archiving.calibrations import measuring_pairs
 from sms_jobs.kinds.calibration import calibrate_boards, observe_board
 from sms_jobs.kinds.calibration.sessions import OBSERVE_BOARD, board_states, every_view
 from sms_jobs.kinds.kind import MEASUREMENT

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.models import Table
-from sms_jobs.cli.importing import app
+from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import SmsError
 from sms_jobs.formats.importers.board_points import (
     CAMERA_COLUMNS,
@@ -22,9 +22,9 @@ from sms_jobs.formats.importers.board_points import (
     PROJECTOR_COLUMNS,
     read_points,
 )
-from sms_jobs.jobs.calibrations import session_result
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.reindexing import reindex, unknown_files
+from sms_jobs.jobs.archiving.calibrations import session_result
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.rebuilding.reindexing import reindex, unknown_files
 from sms_jobs.kinds.products import BOARD
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics

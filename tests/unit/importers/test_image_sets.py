@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli.importing import app
+from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import InvalidInput, SmsError
 from sms_jobs.formats.importers.image_names import guess_image_pattern
 from sms_jobs.records.measurement import Measurement

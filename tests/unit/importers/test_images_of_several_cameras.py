@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
-from sms_jobs.cli.importing import app
+from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import InvalidInput, SmsError
 from sms_jobs.formats.importers.image_names import guess_image_pattern
-from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign

@@ -17,10 +17,10 @@ from typer.testing import CliRunner
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.models import Table
-from sms_jobs.cli.importing import app
+from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import Conflict, InvalidInput, SmsError
-from sms_jobs.jobs.importing import amend_campaign, with_states
-from sms_jobs.jobs.reindexing import reindex, unknown_files
+from sms_jobs.jobs.archiving.importing import amend_campaign, with_states
+from sms_jobs.jobs.rebuilding.reindexing import reindex, unknown_files
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import Measurement
 from tests.support.foreign_frames import ROWS, fringes, gray_frames, save

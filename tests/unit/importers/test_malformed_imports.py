@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns
-from sms_jobs.cli.importing import app
+from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import NotFound, SmsError
-from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.virtual_rig.campaigns import small_plate
 from tests.support.foreign_frames import fringes, save
 

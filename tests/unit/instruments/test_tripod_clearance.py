@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.devices.clearance import distance_to_tripod, tilt_range
-from sms_jobs.metrology.calibration.pan_tilt import stage_rotation
+from sms_jobs.metrology.calibration.stage.pan_tilt import stage_rotation
 from sms_jobs.records.instruments import TripodClearance
 
 BENCH = TripodClearance(

@@ -14,11 +14,11 @@ from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, state_ids
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
-from sms_jobs.jobs.campaign_progress import progress_of
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.recordings import next_state
-from sms_jobs.jobs.registration import register_campaign
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.asking.campaign_progress import progress_of
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.recording.recordings import next_state
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.virtual_rig.campaigns import small_plate

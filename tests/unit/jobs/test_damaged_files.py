@@ -14,8 +14,9 @@ from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.jobs import inquiry, recovery, runner
-from sms_jobs.jobs.planning import Request
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.running import recovery, runner
 from sms_jobs.records.job import JobState
 
 REST = Request("reconstruct", states=("S00",))

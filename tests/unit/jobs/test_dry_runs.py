@@ -10,8 +10,8 @@ import pytest
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.formats.rig_configuration import parse_rig
-from sms_jobs.jobs.dry_runs import dry_run
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
+from sms_jobs.jobs.recording.dry_runs import dry_run
 from sms_jobs.kinds.recording.acquire import all_states, order
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.shown.rehearsals import DryRun

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs.fire_times import next_times, parse_expression, times_until
+from sms_jobs.jobs.scheduling.fire_times import next_times, parse_expression, times_until
 
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
 

@@ -11,10 +11,10 @@ import pytest
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.kernels import left
+from sms_jobs.app.work.kernels import left
 from sms_jobs.cli.doctor import doctor
-from sms_jobs.jobs import kernels
-from sms_jobs.jobs.kernels import Kernel
+from sms_jobs.jobs.running import kernels
+from sms_jobs.jobs.running.kernels import Kernel
 from sms_jobs.metrology.signatures import text_of
 
 _KERNELS = textwrap.dedent(

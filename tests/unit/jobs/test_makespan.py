@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sms_jobs.jobs.makespan import Places, Task, makespan
+from sms_jobs.jobs.planning.makespan import Places, Task, makespan
 
 QUEUES = ("cpu", "io")
 # Sums of some ten numbers in another order differ by their rounding.

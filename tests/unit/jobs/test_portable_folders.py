@@ -28,10 +28,13 @@ from sms_jobs.cli.main import app
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
-from sms_jobs.jobs import portable, portable_import, recovery, reindexing, verification
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.portable import PackOptions
-from sms_jobs.jobs.registration import register_calibration
+from sms_jobs.jobs.archiving.registration import register_calibration
+from sms_jobs.jobs.keeping import verification
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.portable import packing, unpacking
+from sms_jobs.jobs.portable.packing import PackOptions
+from sms_jobs.jobs.rebuilding import reindexing
+from sms_jobs.jobs.running import recovery
 
 NOW = datetime(2026, 3, 2, tzinfo=UTC)
 
@@ -85,25 +88,23 @@ def exported(
 ) -> list[CrateFile]:
     """Export as the command does; stop where it is said, as if the program were killed there."""
     with full.catalogue.reading() as session:
-        parts = portable.chosen(session, options, NOW)
-    done = portable.begin(folder, options, parts)
+        parts = packing.chosen(session, options, NOW)
+    done = packing.begin(folder, options, parts)
     files: list[CrateFile] = []
     for part in parts:
-        before = portable.brought_before(part, done)
-        files += before or portable.bring(full.archive, folder, options, part, full.checker)
+        before = packing.brought_before(part, done)
+        files += before or packing.bring(full.archive, folder, options, part, full.checker)
         if stop_after is not None and len(files) >= stop_after:
             return files
-    portable.finish(full.catalogue, full.archive, folder, options, files, NOW)
+    packing.finish(full.catalogue, full.archive, folder, options, files, NOW)
     return files
 
 
 def imported(folder: Path, into: Home, **options: Any) -> list[reindexing.Reindexed]:
-    manifest = portable_import.manifest_of(folder)
-    assert [one for one in portable_import.check(folder, manifest) if one.fault] == []
+    manifest = unpacking.manifest_of(folder)
+    assert [one for one in unpacking.check(folder, manifest) if one.fault] == []
     return list(
-        portable_import.enter(
-            into.catalogue, into.archive, folder, manifest, NOW, checker=into.checker, **options
-        )
+        unpacking.enter(into.catalogue, into.archive, folder, manifest, NOW, checker=into.checker, **options)
     )
 
 
@@ -202,7 +203,7 @@ def test_an_interrupted_export_goes_on_and_comes_to_the_same(
     folder, options = tmp_path / "plate", PackOptions("plate")
     first = exported(full, folder, options, stop_after)
     with pytest.raises(InvalidInput, match="come to its end"):
-        portable_import.manifest_of(folder)
+        unpacking.manifest_of(folder)
     with pytest.raises(Conflict, match="other options"):
         exported(full, folder, replace(options, inputs=False))
     (folder / "data").mkdir(exist_ok=True)
@@ -227,13 +228,13 @@ def contents(folder: Path) -> dict[str, str]:
 
 def test_what_is_chosen_comes_with_what_it_needs(full: Home, tmp_path: Path) -> None:
     with full.catalogue.reading() as session:
-        every = portable.chosen(session, PackOptions("plate"), NOW)
-        strain = portable.chosen(session, PackOptions("plate", ("strain",)), NOW)
-        alone = portable.chosen(session, PackOptions("plate", ("strain",), inputs=False), NOW)
+        every = packing.chosen(session, PackOptions("plate"), NOW)
+        strain = packing.chosen(session, PackOptions("plate", ("strain",)), NOW)
+        alone = packing.chosen(session, PackOptions("plate", ("strain",), inputs=False), NOW)
         with pytest.raises(InvalidInput, match="no file of kind strain"):
-            portable.chosen(session, PackOptions("other", ("strain",)), NOW)
+            packing.chosen(session, PackOptions("other", ("strain",)), NOW)
         with pytest.raises(NotFound):
-            portable.chosen(session, PackOptions("nobody"), NOW)
+            packing.chosen(session, PackOptions("nobody"), NOW)
     assert {part.path for part in alone} < {part.path for part in strain} < {part.path for part in every}
     assert sorted(part.description.split()[0] for part in alone) == ["campaign", "strain"]
     assert {part.description.split()[0] for part in strain} == {
@@ -294,12 +295,10 @@ def test_what_does_not_fit_is_taken_out_again(full: Home, empty: Home, tmp_path:
     exported(full, folder, PackOptions("plate", ("strain",), inputs=False))
     (definition,) = (folder / "data" / "plate").glob("campaign-*.h5")
     definition.unlink()
-    manifest = portable_import.manifest_of(folder)
+    manifest = unpacking.manifest_of(folder)
     manifest = {path: sha256 for path, sha256 in manifest.items() if "/campaign-" not in path}
     before = contents(empty.archive.store.root)
-    done = list(
-        portable_import.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker)
-    )
+    done = list(unpacking.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker))
     assert [one.outcome for one in done] == ["no-campaign"]
     assert contents(empty.archive.store.root) == before
 
@@ -317,7 +316,7 @@ def test_a_file_cannot_pass_for_the_output_of_another_job(full: Home, empty: Hom
         forged = replace(told, job_id=dataset.provenance.job_id)
     made = brought.seal_dataset(names, forged)
     manifest = {f"data/{path}": sha256 for path, sha256 in contents(folder / "data").items()}
-    done = portable_import.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker)
+    done = unpacking.enter(empty.catalogue, empty.archive, folder, manifest, NOW, checker=empty.checker)
     bad = {one.path: one.detail for one in done if one.outcome != "indexed"}
     assert list(bad) == [made.path]
     assert "is known as correlate of plate/S01/C1P1" in bad[made.path]
@@ -328,7 +327,7 @@ def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:
     folder = tmp_path / "plate"
     exported(full, folder, PackOptions("plate", ("strain",)))
     subprocess.run(["sha256sum", "--check", "--quiet", crate.MANIFEST], cwd=folder, check=True)
-    manifest = portable_import.manifest_of(folder)
+    manifest = unpacking.manifest_of(folder)
     lost, altered, linked, *_ = (path for path in manifest if path.endswith(".h5"))
     (folder / lost).unlink()
     (folder / altered).chmod(0o644)
@@ -337,7 +336,7 @@ def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:
     (folder / linked).rename(target)
     (folder / linked).symlink_to(target)
     (folder / "data" / "more.txt").write_text("more")
-    faults = {one.path: one.fault for one in portable_import.check(folder, manifest) if one.fault}
+    faults = {one.path: one.fault for one in unpacking.check(folder, manifest) if one.fault}
     assert faults == {lost: "missing", altered: "altered", linked: "no-file", "data/more.txt": "unlisted"}
 
 
@@ -374,7 +373,7 @@ def test_the_crate_describes_every_file(full: Home, tmp_path: Path) -> None:
     assert root["@type"] == "Dataset"
     assert datetime.fromisoformat(root["datePublished"]) == NOW
     parts = {part["@id"] for part in root["hasPart"]}
-    payload = portable_import.manifest_of(folder)
+    payload = unpacking.manifest_of(folder)
     assert {f"data/{name}" for name in parts} == set(payload) - {f"data/{crate.METADATA}"}
     for name in parts:
         assert graph[name]["@type"] == "File"

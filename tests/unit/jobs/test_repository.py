@@ -17,10 +17,10 @@ from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import CommitInDoubt, Conflict
-from sms_jobs.jobs import acceptances
-from sms_jobs.jobs.indexing import CAMPAIGN
-from sms_jobs.jobs.registration import defined, register_calibration, register_campaign
-from sms_jobs.jobs.repository import Kept, Repository
+from sms_jobs.jobs.archiving import acceptances
+from sms_jobs.jobs.archiving.indexing import CAMPAIGN
+from sms_jobs.jobs.archiving.registration import defined, register_calibration, register_campaign
+from sms_jobs.jobs.archiving.repository import Kept, Repository
 from sms_jobs.records.campaign import CampaignDefinition
 from sms_jobs.virtual_rig.campaigns import small_plate
 

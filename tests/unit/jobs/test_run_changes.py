@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from sms_jobs.jobs.run_changes import alone, changes, pairs
-from sms_jobs.jobs.runs import Given, Member, Members
+from sms_jobs.jobs.asking.run_changes import alone, changes, pairs
+from sms_jobs.jobs.asking.runs import Given, Member, Members
 from sms_jobs.records.shown.runs import RunResult
 
 SUBJECTS = ("plate/S01/C1P1", "plate/S02/C1P1")

@@ -12,13 +12,13 @@ import pytest
 from support.homes import make_home
 
 from sms_jobs import bootstrap
-from sms_jobs.app import schedules as use_cases
+from sms_jobs.app.work import schedules as use_cases
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs import schedules
-from sms_jobs.jobs.fire_times import fire_times, parse_expression
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.schedules import Order
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling.fire_times import fire_times, parse_expression
+from sms_jobs.jobs.scheduling.schedules import Order
 from sms_jobs.records.shown.schedules import MOST_A_DAY
 
 NOW = datetime(2026, 3, 10, 9, 30, tzinfo=UTC)

@@ -19,10 +19,11 @@ from sms_jobs.bench.promises.submits import submissions
 from sms_jobs.catalogue import database
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import CatalogueBusy
-from sms_jobs.jobs import inquiry, schedules
-from sms_jobs.jobs.fire_times import parse_expression
-from sms_jobs.jobs.schedules import Order
-from sms_jobs.jobs.turns import planning_turn
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.turns import planning_turn
+from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling.fire_times import parse_expression
+from sms_jobs.jobs.scheduling.schedules import Order
 
 LISTEN = """
 import json, runpy, sys

@@ -13,8 +13,8 @@ import psutil
 import pytest
 from support.command import wait_until
 
-from sms_jobs.jobs.origin import Origin, is_gone
-from sms_jobs.jobs.stillness import Stillness
+from sms_jobs.jobs.running.origin import Origin, is_gone
+from sms_jobs.jobs.running.stillness import Stillness
 
 HERE = Origin("machine", "boot", "pid:[1]", 7)
 SLEEP = [sys.executable, "-c", "import time; print(flush=True); time.sleep(60)"]
@@ -87,7 +87,7 @@ def test_a_container_on_the_same_machine_is_elsewhere() -> None:
     unshare = ["unshare", "--pid", "--fork", "--mount-proc", "--uts"]
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         pytest.skip("only root may make a name space of processes")
-    say = "from sms_jobs.jobs.origin import Origin; o = Origin.own(); print(o.boot, o.pid_namespace)"
+    say = "from sms_jobs.jobs.running.origin import Origin; o = Origin.own(); print(o.boot, o.pid_namespace)"
     done = subprocess.run([*unshare, sys.executable, "-c", say], capture_output=True, text=True, check=False)
     if done.returncode:
         pytest.skip(f"no name space can be made here: {done.stderr}")

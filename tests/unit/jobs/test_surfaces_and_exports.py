@@ -17,12 +17,13 @@ from support.homes import WHEN, make_home, stored
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.cli import exporting, importing_surface
+from sms_jobs.cli import exporting
+from sms_jobs.cli.importing import surface
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.formats.exporters import all_exporters, exporter_named
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.submission import submit
-from sms_jobs.jobs.surfaces import register_surface
+from sms_jobs.jobs.archiving.surfaces import register_surface
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.kinds.kind import REFERENCE_SURFACES
 from sms_jobs.records.fields import Mesh, Surface
 from sms_jobs.records.surfaces import ReferenceSurface
@@ -121,10 +122,10 @@ def test_a_surface_is_imported_from_a_file(
 ) -> None:
     path = tmp_path / "part.stl"
     exporter_named("stl").write(mesh(), path)
-    importing_surface.surface(path, "plate", unit="cm", home=home, as_json=True)
+    surface.surface(path, "plate", unit="cm", home=home, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["new"], told["triangles"], told["size_mm"]) == (True, 1, [100.0, 100.0, 0.0])
-    importing_surface.surface(path, "plate", unit="cm", home=home)
+    surface.surface(path, "plate", unit="cm", home=home)
     assert f"is already file {told['file']}" in capsys.readouterr().err
 
 

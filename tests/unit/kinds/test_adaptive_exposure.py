@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.recording import simulate
@@ -22,6 +21,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, Cylinder, Gloss
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.truth import Shape, exact_shape
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from support.calibration_sessions import SessionInMemory
 
-from sms_jobs.bench.board_sessions import (
+from sms_jobs.bench.sessions.board_sessions import (
     BOARD,
     NAME,
     BoardDesign,

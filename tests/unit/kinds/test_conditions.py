@@ -17,8 +17,8 @@ from sms_jobs.kinds.kind import Need
 from sms_jobs.kinds.reporting import conditions, report
 from sms_jobs.kinds.reporting.chapter import MERGED_STATES, STRAINS
 from sms_jobs.kinds.reporting.still_pairs import still_pairs
-from sms_jobs.metrology.deformation.matching import Method
-from sms_jobs.metrology.deformation.noise_floor import noise_floor
+from sms_jobs.metrology.deformation.fields.noise_floor import noise_floor
+from sms_jobs.metrology.deformation.matching.grid import Method
 from sms_jobs.metrology.images.spline import Interpolant
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.scene import HalvesApart

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from sms_jobs.bench.in_memory import InMemory
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import strain
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Port
 from sms_jobs.kinds.products import MERGED, MESH, REGIONS, STRAIN, SURFACE
 from sms_jobs.records.fields import Regions
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 SUBJECT = Subject("plate", "S01", "C1P1")

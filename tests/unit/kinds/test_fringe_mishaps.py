@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from sms_jobs.bench.fringe_mishaps import (
+from sms_jobs.bench.fringes.fringe_mishaps import (
     SUBJECT,
     Session,
     is_named,
@@ -17,12 +17,12 @@ from sms_jobs.bench.fringe_mishaps import (
     reconstructed,
     silent_points,
 )
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.shape.frame_watch import FramePatches
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.records.measurement import ArrayStack, FringeSequence
 from sms_jobs.records.reasons import Reason
+from sms_jobs.testing.in_memory import run_kind
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import InMemory, unheard
 from sms_jobs.kinds.deformation.quick_look import KIND, Compared, QuickLookParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.metrology.geometry.camera import Pose
@@ -21,6 +20,7 @@ from sms_jobs.records.recording import Recording, Verdict
 from sms_jobs.records.scene import AT_ORIGIN, Simulation
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory, unheard
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 from sms_jobs.virtual_rig.rendering import render

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import InMemory, run_kind, unheard
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
@@ -24,6 +23,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, Simulation
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory, run_kind, unheard
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sms_jobs.bench.plate_before_wall import random_scene, reconstructed, record
+from sms_jobs.bench.fringes.plate_before_wall import random_scene, reconstructed, record
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason

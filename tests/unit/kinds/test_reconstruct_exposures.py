@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.kinds.calibration import diagnose
 from sms_jobs.kinds.deformation.textured_state import average_noise
 from sms_jobs.kinds.kind import DatasetOutput
@@ -22,6 +21,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Cylinder, Gloss, Simulation
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

@@ -12,10 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import run_kind
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs.planning import checked_parameters
 from sms_jobs.kinds.kind import DatasetOutput
+from sms_jobs.kinds.parameters import checked_parameters
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.phase.patterns import direction, span_px
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
@@ -24,6 +23,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Calibration, Rig
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import plate_and_mirror, small_plate
 from sms_jobs.virtual_rig.light import Light, trace
 from sms_jobs.virtual_rig.rendering import render

@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.bent_waveforms import record, scores
-from sms_jobs.bench.in_memory import run_kind
+from sms_jobs.bench.fringes.bent_waveforms import record, scores
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.kind import DatasetOutput
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
@@ -21,6 +20,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Shape, exact_shape

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support.calibration_sessions import SessionInMemory, observed_session, point_errors, recorded_session
 
-from sms_jobs.jobs.calibrations import KnownCalibration, compared, drift_of
+from sms_jobs.jobs.archiving.calibrations import KnownCalibration, compared, drift_of
 from sms_jobs.kinds.calibration.session_adjustment import board_views, known_as, start_from_last
 from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BOARD
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import reconstruct
-from sms_jobs.metrology.calibration.comparison import CalibrationComparison
+from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.artefacts import BallBar, CircleBoard

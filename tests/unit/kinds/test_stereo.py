@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from support.two_cameras import VOLUME, Floats, Height, Motion, at_rest, cameras, curved, flat, seen_by
 
-from sms_jobs.bench.in_memory import InMemory, unheard
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
@@ -25,6 +24,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
+from sms_jobs.testing.in_memory import InMemory, unheard
 
 AT = datetime(2026, 5, 4, tzinfo=UTC)
 NOISE = 20.0

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from sms_jobs.app.system_tests import BarCertificate, PlateCertificate, _of_bar, _of_plate
-from sms_jobs.bench.shelf import Shelf
+from sms_jobs.app.calibrating.system_tests import BarCertificate, PlateCertificate, _of_bar, _of_plate
 from sms_jobs.kinds.calibration import system_test
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.shape import reconstruct
@@ -18,6 +17,7 @@ from sms_jobs.records.fields import Surface
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.system_test import SystemTest
+from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.sessions import BEGIN, small_session
 
 BAR = BarCertificate(150.0, 0.005, 22.0, 0.002, 0.001)

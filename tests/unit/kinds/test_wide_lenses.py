@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from sms_jobs.bench.board_sessions import (
+from sms_jobs.bench.sessions.board_sessions import (
     BoardDesign,
     BoardSession,
     board_session,

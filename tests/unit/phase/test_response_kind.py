@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.bench.in_memory import InMemory, run_kind
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration import diagnose
 from sms_jobs.kinds.kind import DatasetOutput
@@ -19,6 +18,7 @@ from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import ProjectorResponse, Simulation, Speckle
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import InMemory, run_kind
 from sms_jobs.virtual_rig.campaigns import START, small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape

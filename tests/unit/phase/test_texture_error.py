@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.bent_waveforms import scores
-from sms_jobs.bench.fringe_textures import TexturedPlate, record
-from sms_jobs.bench.in_memory import run_kind
+from sms_jobs.bench.fringes.bent_waveforms import scores
+from sms_jobs.bench.fringes.fringe_textures import TexturedPlate, record
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import independent_covariance
 from sms_jobs.metrology.phase.texture_error import (
@@ -23,6 +22,7 @@ from sms_jobs.metrology.phase.texture_error import (
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.subject import Subject
+from sms_jobs.testing.in_memory import run_kind
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from support.gige_camera import ADDRESS, gige_camera
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.rig_configuration import example_rig, parse_rig
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Station
 from sms_jobs.kinds.recording.acquire import AcquireParameters, Order, run
 from sms_jobs.records.measurement import FringeSequence, Measurement

@@ -25,7 +25,7 @@ from sms_jobs.instruments.rehearsal import rehearse
 from sms_jobs.instruments.simulated.lamp import RoomLamp
 from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, SimulatedProjector, VirtualRoom
 from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault, RigFile
 from sms_jobs.records.recording import Recording

@@ -17,7 +17,7 @@ from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import rehearse
 from sms_jobs.instruments.simulated.optics import Setting
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.kinds.recording.adaptation import QUICK
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.measurement import FringeSequence

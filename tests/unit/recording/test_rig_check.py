@@ -29,8 +29,8 @@ from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.scanners.link import Address
 from sms_jobs.instruments.scanners.server import ScannerServer
 from sms_jobs.instruments.simulated.optics import Setting
-from sms_jobs.jobs import locks
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices import locks
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -21,7 +21,7 @@ from sms_jobs.instruments.scanners.link import Address, ScannerLink
 from sms_jobs.instruments.scanners.proof import CHALLENGE_BYTES, HELLO_BYTES, PROOF_BYTES, hello
 from sms_jobs.instruments.scanners.server import ScannerServer
 from sms_jobs.instruments.simulated.optics import Setting
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 KEY = bytes(range(32))

@@ -24,7 +24,7 @@ from sms_jobs.instruments.scanners.link import Address, ScannerLink
 from sms_jobs.instruments.scanners.server import Lent, ScannerServer
 from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera
 from sms_jobs.instruments.simulated.rig import SimulatedRig
-from sms_jobs.jobs.stations import known_sensors
+from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.scene import PanTilt, Rigid, Scene

@@ -13,11 +13,12 @@ from sqlalchemy import select
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow, LoadStateRow, MeasurementRow
-from sms_jobs.jobs import inquiry, recovery
-from sms_jobs.jobs.planning import Request
-from sms_jobs.jobs.registration import register_calibration, register_campaign
-from sms_jobs.jobs.runner import Runner
-from sms_jobs.jobs.submission import submit
+from sms_jobs.jobs.archiving.registration import register_calibration, register_campaign
+from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.running import recovery
+from sms_jobs.jobs.running.runner import Runner
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import small_plate
 

@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.calibration.pan_tilt import (
+from sms_jobs.metrology.calibration.stage.pan_tilt import (
     Stage,
     label_special_poses,
     predict_centres,
     prediction_covariance,
     stage_from_special_poses,
 )
-from sms_jobs.metrology.calibration.pan_tilt_refinement import (
+from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import (
     refine_stage,
     search_margin_mm,
     sphere_regions,

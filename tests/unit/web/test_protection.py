@@ -9,7 +9,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from sms_jobs import bootstrap
-from sms_jobs.app import queues
+from sms_jobs.app.work import queues
 from sms_jobs.web.application import application
 from sms_jobs.web.protection import Options
 

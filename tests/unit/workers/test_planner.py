@@ -15,15 +15,17 @@ from sqlalchemy import select
 from support.command import wait_until
 
 from sms_jobs import bootstrap
-from sms_jobs.app import planned_recordings, recordings
-from sms_jobs.app.planned_recordings import AtCycles, AtLoad, InTime, When
+from sms_jobs.app.measuring import planned_recordings, recordings
+from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import LinkLost, NotFound
 from sms_jobs.instruments.connection import channel_reader
 from sms_jobs.instruments.simulated.serial.simulation import simulate
-from sms_jobs.jobs import due_recordings, locks, queues
-from sms_jobs.jobs.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.devices import locks
+from sms_jobs.jobs.recording import due_recordings
+from sms_jobs.jobs.running import queues
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.units import typed
@@ -171,7 +173,9 @@ def test_a_hold_is_in_the_unit_of_the_channels_name(
     (tmp_path / "rig.toml").write_text(in_kn)
     services.stations.add(tmp_path / "rig.toml", replace=True)
     reads(tmp_path, 0.1)
-    monkeypatch.setattr("sms_jobs.app.recordings.time.sleep", lambda _s: pytest.fail("100 N are not seen"))
+    monkeypatch.setattr(
+        "sms_jobs.app.measuring.recordings.time.sleep", lambda _s: pytest.fail("100 N are not seen")
+    )
     recordings.wait_for_hold(services, "bench", "load_n", 100.0, 5.0, 0.0)
 
 

@@ -1,0 +1,1 @@
+"""People, how they log in, what they did, and what they are notified of."""

@@ -1,0 +1,1 @@
+"""Calibrations of rigs, and tests of measuring systems."""

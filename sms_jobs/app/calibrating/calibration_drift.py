@@ -1,0 +1,118 @@
+"""How far a rig has drifted from one calibration to the next: told, and drawn over time.
+
+Each calibration has a world of its own, that of its first board. What is told is therefore how far points
+have moved against each other, after the rigid motion that brings both worlds together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from math import isfinite
+
+from sms_jobs.app.rules import use_case
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import search
+from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
+from sms_jobs.records.people import Right
+
+_MOST = 12
+_MICROMETRES = 1e3
+_SECONDS_A_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How far the points of a view have moved against each other since the first calibration.
+
+    Attributes
+    ----------
+    calibration, valid_from
+        The later one.
+    view
+        As C1P1.
+    rms_mm
+        Over the volume, after the rigid motion that brings both worlds together.
+    expected_mm
+        What the covariances of both let expect where nothing happened; None where they are not known.
+    verdict
+        Of the comparison of all sensors, as 'sms calibration compare' tells it.
+    """
+
+    calibration: int
+    valid_from: datetime
+    view: str
+    rms_mm: float
+    expected_mm: float | None
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The latest calibrations of a rig against the first of them.
+
+    Attributes
+    ----------
+    first, valid_from
+        That which the others are compared with; None where there is none.
+    moved
+        Of each later one and each view, in the order of time; those of other sensors are left out.
+    """
+
+    rig: str
+    first: int | None
+    valid_from: datetime | None
+    moved: tuple[Moved, ...]
+
+
+@use_case(Right.READ)
+def drift(services: Services, rig: str) -> Drift:
+    """Return how far points have moved from one calibration of a rig to later ones, 11 at most."""
+    from sms_jobs.jobs.archiving import calibrations
+
+    with services.catalogue.reading() as session:
+        found = search.list_calibrations(session, rig)[:_MOST][::-1]
+    if not found:
+        return Drift(rig, None, None, ())
+    first, moved = found[0], []
+    for one in found[1:]:
+        try:
+            changed, _ = calibrations.compare(services.catalogue, services.archive, first.id, one.id, None)
+        except InvalidInput:
+            continue  # of other sensors: there is nothing to compare
+        for pair in changed.pairs:
+            expected = pair.expected_aligned_rms_mm
+            moved.append(
+                Moved(
+                    one.id,
+                    one.valid_from,
+                    f"{pair.camera}{pair.projector}",
+                    pair.aligned_rms_mm,
+                    expected if isfinite(expected) else None,
+                    changed.verdict,
+                )
+            )
+    return Drift(rig, first.id, first.valid_from, tuple(moved))
+
+
+def drift_chart(found: Drift) -> str:
+    """Return a drift as HTML with SVG, two lines for each view; nothing without a later calibration."""
+    if found.first is None or found.valid_from is None or not found.moved:
+        return ""
+    places = {
+        str(one.calibration): (one.valid_from - found.valid_from).total_seconds() / _SECONDS_A_DAY
+        for one in found.moved
+    }
+    begin = Point(str(found.first), 0.0)
+    moved: dict[str, list[Point]] = {}
+    expected: dict[str, list[Point]] = {}
+    for one in found.moved:
+        state = str(one.calibration)
+        moved.setdefault(one.view, [begin]).append(Point(state, _MICROMETRES * one.rms_mm))
+        if one.expected_mm is not None:
+            name = f"{one.view}, expected by chance"
+            expected.setdefault(name, []).append(Point(state, _MICROMETRES * one.expected_mm))
+    lines = tuple(Line(name, tuple(points)) for name, points in {**moved, **expected}.items())
+    axis = Axis(f"days since calibration {found.first}", {begin.state: 0.0, **places})
+    return charts([Chart("points moved against each other, rms", "µm", lines)], [axis]).html

@@ -1,0 +1,88 @@
+"""What a calibration is worth in numbers, that of a session too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from sms_jobs.app.calibrating.calibrations import Worth, show, worth_of
+from sms_jobs.app.rules import use_case
+from sms_jobs.bootstrap import Services
+from sms_jobs.records.people import Right
+from sms_jobs.records.sensors import Box, Sensor
+from sms_jobs.records.shown.files import FileView
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A calibration and what it is worth; None for one that was brought in."""
+
+    calibration: int
+    rig: str
+    valid_from: datetime
+    origin: str
+    path: str
+    sensors: tuple[Sensor, ...]
+    volume: Box
+    worth: Worth | None
+
+
+@use_case(Right.READ)
+def overview(services: Services, number: int) -> Overview:
+    """Return a calibration in numbers, without its samples; raises as `show` does."""
+    known = show(services, number)
+    made, quality = known.calibration, known.quality
+    worth = None if quality is None else worth_of(quality)
+    return Overview(
+        number,
+        made.rig.name,
+        made.valid_from,
+        made.origin,
+        known.path,
+        made.rig.sensors,
+        made.volume,
+        worth,
+    )
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The calibration that a session gave, before it is taken into use.
+
+    Attributes
+    ----------
+    session, rig
+        By name.
+    file
+        Where it lies.
+    sensors
+        Names of its sensors.
+    volume_diagonal_mm
+        Of the volume that it is for.
+    worth
+        By which it is judged.
+    """
+
+    session: str
+    rig: str
+    file: FileView
+    sensors: tuple[str, ...]
+    volume_diagonal_mm: float
+    worth: Worth | None
+
+
+@use_case(Right.READ)
+def candidate(services: Services, session: str) -> Candidate:
+    """Return the calibration that a session gave; raises `NotFound` where it has given none."""
+    from sms_jobs.jobs.archiving import calibrations
+
+    file, known = calibrations.session_result(services.catalogue, services.archive, session)
+    made = known.calibration
+    return Candidate(
+        session,
+        made.rig.name,
+        file,
+        tuple(sensor.name for sensor in made.rig.sensors),
+        made.volume.diagonal_mm,
+        None if known.quality is None else worth_of(known.quality),
+    )

@@ -1,0 +1,1 @@
+"""Fields of results: shown, sampled, compared and exported."""

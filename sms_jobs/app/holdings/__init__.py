@@ -1,0 +1,1 @@
+"""The archive and its files: found, read, packed and verified."""

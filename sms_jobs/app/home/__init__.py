@@ -1,0 +1,1 @@
+"""A home and its service."""

@@ -1,0 +1,1 @@
+"""Recordings with the instruments of a rig."""

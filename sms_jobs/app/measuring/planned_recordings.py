@@ -1,0 +1,246 @@
+"""Plans of recordings: which state of a test is recorded next, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, TypeAlias
+
+from sms_jobs.app.rules import use_case
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.jobs.recording import planned_recordings
+from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
+from sms_jobs.records.people import Right
+from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
+from sms_jobs.records.units import Typed, in_unit_of_name
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign, LoadState
+
+
+@dataclass(frozen=True)
+class InTime:
+    """Record the states one after the other, so many seconds apart; without a time in turn, at once."""
+
+    every_s: float | None = None
+
+
+@dataclass(frozen=True)
+class AtLoad:
+    """Record each state when a channel has stayed near what the test plan says of it.
+
+    Attributes
+    ----------
+    channel
+        Of the rig.
+    tolerance
+        How near, in the unit of the channel or one of its family.
+    for_s
+        How long it must have stayed there.
+    """
+
+    channel: str
+    tolerance: Typed
+    for_s: float
+
+
+@dataclass(frozen=True)
+class AtCycles:
+    """Record the states one after the other, each when a counter of the rig has come to its number.
+
+    Attributes
+    ----------
+    counts
+        One a state, each greater than the one before.
+    channel
+        That counts.
+    for_s
+        How long it must have stood still; 0 where the machine goes on.
+    """
+
+    counts: tuple[int, ...]
+    channel: str
+    for_s: float
+
+
+When: TypeAlias = InTime | AtLoad | AtCycles
+
+
+@use_case(Right.RECORD)
+def plan(
+    services: Services,
+    campaign: str,
+    when: When,
+    states: Sequence[str] = (),
+    *,
+    ask: bool = False,
+    process: bool = False,
+    look: Look = NO_LOOK,
+) -> list[PlannedRecording]:
+    """Plan recordings, behind those that are planned, and return the whole plan of the campaign.
+
+    Parameters
+    ----------
+    when
+        What each of them waits for. A state that is planned already waits for this instead.
+    states
+        All that are neither recorded nor planned nor skipped if there is none.
+    ask, process
+        See `recordings.record`.
+    look
+        Whether there is a quick look at each state once it is recorded, and which limits hold the plan.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, state or gauge; or the rig of the channel is not connected to this host.
+    Conflict
+        A state is recorded, or being recorded; or nothing is left.
+    InvalidInput
+        The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
+        not say what the channel reads at a state; what is waited for does not fit channel or states; or there
+        is no view of a camera and a projector to look at.
+    """
+    # Which loads the kinds; nothing else here needs them.
+    from sms_jobs.jobs.recording import due_recordings
+
+    now = datetime.now(UTC)
+    with services.catalogue.reading() as session:
+        left = due_recordings.plannable(session, campaign, states)
+        defined = definition(campaign_row(session, campaign))
+    if look.wanted:
+        _require_looked_at(defined, look.stop_if)
+    wanted = _wanted(services, defined.rig, left, when, named=bool(states))
+    with services.catalogue.writing() as session:
+        planned_recordings.put(
+            session, campaign, wanted, services.actor.name, now, ask=ask, process=process, look=look
+        )
+        return planned_recordings.shown(session, now, campaign)
+
+
+def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
+    """Raise `InvalidInput` without a view to look at, and `NotFound` for a gauge that is not described."""
+    # Which loads the kinds, as the states have by now.
+    from sms_jobs.formats.gauge_descriptions import described_gauge
+    from sms_jobs.kinds.deformation.quick_look import declared_gauges
+
+    if not campaign.fringe_views:
+        raise InvalidInput(
+            f"{campaign.name} has no view of a camera and a projector, and others have no quick look; leave "
+            "--look and --stop-if out"
+        )
+    known = [described_gauge(text).name for text in declared_gauges(campaign)]
+    for limit in stop_if:
+        if limit.gauge not in known:
+            raise NotFound(
+                f"{campaign.name} has no gauge '{limit.gauge}' in mm; it has {', '.join(known) or 'none'}: "
+                "describe it under [processing.gauges] of the test plan"
+            )
+
+
+def _wanted(
+    services: Services, rig: str, states: Sequence[LoadState], when: When, *, named: bool
+) -> list[tuple[str, Trigger]]:
+    """Return by state what its recording waits for; of those that nobody has `named` only the first may."""
+    if isinstance(when, InTime):
+        trigger = InTurn() if when.every_s is None else Every(when.every_s)
+        return [(state.label, trigger) for state in states]
+    unit = services.stations.unit(rig, when.channel)
+    if isinstance(when, AtLoad):
+        return [(state.label, _holding(state, when, unit)) for state in states]
+    if len(when.counts) > len(states) or (named and len(when.counts) < len(states)):
+        raise InvalidInput(
+            f"{len(when.counts)} numbers of cycles are given for {len(states)} states; give one for each, or "
+            "add states with 'sms campaign add-state'"
+        )
+    return [
+        (state.label, Counted(when.channel, count, when.for_s))
+        for state, count in zip(states, when.counts, strict=False)
+    ]
+
+
+def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
+    # Which loads the instruments, as the states have by now.
+    from sms_jobs.jobs.recording.recordings import state_value
+
+    # The test plan says it in the unit of the channel's name.
+    target = state_value(state, when.channel) / in_unit_of_name(when.channel, 1.0, unit)
+    tolerance = when.tolerance.in_unit(unit, "--tolerance")
+    if tolerance <= 0.0:
+        raise InvalidInput(
+            f"--tolerance is '{when.tolerance.text}', and no reading is ever that near: give one above 0"
+        )
+    return Holding(when.channel, unit, target, tolerance, when.for_s)
+
+
+@use_case(Right.READ)
+def show(services: Services, campaign: str | None = None) -> list[PlannedRecording]:
+    """Return the plan of a campaign, or all with something left; raise `NotFound` where there is none."""
+    with services.catalogue.reading() as session:
+        return planned_recordings.shown(session, datetime.now(UTC), campaign)
+
+
+@use_case(Right.RECORD)
+def hold(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
+    """Hold planned recordings back, or all of them, and return the states of which that is new.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or nothing is planned of such a state.
+    Conflict
+        One has begun already.
+    """
+    with services.catalogue.writing() as session:
+        return planned_recordings.set_held(session, campaign, states, True)
+
+
+@use_case(Right.RECORD)
+def go(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
+    """Let recordings that were held back go on, and return their states; raises as `hold` does."""
+    with services.catalogue.writing() as session:
+        return planned_recordings.set_held(session, campaign, states, False)
+
+
+@use_case(Right.RECORD)
+def skip(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
+    """Leave planned recordings out, or the next one, and return their states.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or nothing is planned of such a state.
+    Conflict
+        One is recorded, or being recorded.
+    """
+    with services.catalogue.writing() as session:
+        return planned_recordings.skip(session, campaign, states)
+
+
+@use_case(Right.RECORD)
+def move(services: Services, campaign: str, state: str, before: str | None = None) -> None:
+    """Let a planned recording come before another one, or last.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or nothing is planned of such a state.
+    Conflict
+        One of them has begun already, or is skipped.
+    """
+    with services.catalogue.writing() as session:
+        planned_recordings.move(session, campaign, state, before)
+
+
+@use_case(Right.RECORD)
+def drop(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
+    """Forget recordings of a plan, or all that do not run, and return their states.
+
+    What was recorded stays; raises as `skip` does.
+    """
+    with services.catalogue.writing() as session:
+        return planned_recordings.drop(session, campaign, states)

@@ -1,0 +1,238 @@
+"""Recordings: states of a campaign, with the instruments of a rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from sms_jobs.app.rules import use_case
+from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.errors import Conflict
+from sms_jobs.instruments.holding import Hold, HoldDetector
+from sms_jobs.jobs.asking.campaign_progress import progress_of
+from sms_jobs.jobs.planning.chosen import Chosen, named, submitted
+from sms_jobs.jobs.planning.graph import PIPELINE, Request
+from sms_jobs.jobs.planning.submission import submit_to
+from sms_jobs.jobs.recording import recordings
+from sms_jobs.jobs.recording.recordings import OpenRecording, PairVerdict, Turn, state_value
+from sms_jobs.jobs.running import orders
+from sms_jobs.kinds.recording.acquire import KIND
+from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.people import Right
+from sms_jobs.records.shown.rehearsals import DryRun
+from sms_jobs.records.shown.state_progress import StateProgress
+from sms_jobs.records.units import in_unit_of_name
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign, LoadState
+
+_LOOK_EVERY_S = 0.2
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be recorded.
+
+    Attributes
+    ----------
+    campaign
+        As it is defined.
+    states
+        Those that were asked for.
+    """
+
+    campaign: Campaign
+    states: tuple[LoadState, ...]
+
+    @property
+    def turns(self) -> list[Turn]:
+        """States that are recorded one after the other without a person; a new turn where one is needed."""
+        return recordings.turns(self.states)
+
+
+@use_case(Right.READ)
+def plan(services: Services, campaign: str, states: Sequence[str] = (), *, missing: bool = False) -> Plan:
+    """Return some states of a campaign, or all; of these, with `missing`, those that are not recorded yet.
+
+    Raises `NotFound` where there is no such campaign or state.
+    """
+    with services.catalogue.reading() as session:
+        found = definition(campaign_row(session, campaign))
+        chosen = [found.state(label) for label in states] or list(found.states)
+        if missing:
+            left = {s.label for s in recordings.unrecorded(session, campaign)}
+            chosen = [s for s in chosen if s.label in left]
+    return Plan(found, tuple(chosen))
+
+
+@use_case(Right.READ)
+def rehearse(services: Services, plan: Plan) -> DryRun:
+    """Return what recording some states would take, and what is missing for it.
+
+    Raises `NotFound` where the rig is not connected to this host.
+    """
+    # Which loads all instruments; nothing else here needs them.
+    from sms_jobs.jobs.recording import dry_runs
+
+    rig, settings = services.stations.rig(plan.campaign.rig), services.settings
+    with services.catalogue.reading() as session:
+        return dry_runs.dry_run(
+            session, rig, plan.campaign, plan.states, settings.spool_folder, services.archive
+        )
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Jobs that record, and those that were submitted with them; `recordings` is how many record."""
+
+    job_ids: tuple[str, ...]
+    recordings: int
+    jobs: Chosen
+
+
+@use_case(Right.RECORD)
+def record(
+    services: Services, campaign: str, states: tuple[str, ...], *, ask: bool = False, process: bool = False
+) -> Begun:
+    """Submit recordings of some states.
+
+    Parameters
+    ----------
+    ask
+        Ask an operator about a doubtful set instead of keeping it.
+    process
+        Process each state as soon as it is recorded.
+    """
+    requests = recordings.requests(states, ask=ask, process=process)
+    done = submit_to(services.catalogue, campaign, requests, datetime.now(UTC), by=services.actor.name)
+    return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
+
+
+@use_case(Right.COMPUTE)
+def process(services: Services, campaign: str) -> int:
+    """Submit what follows from the recordings of a campaign, and return how many jobs that is."""
+    now, by = datetime.now(UTC), services.actor.name
+    return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], now, by=by).job_ids)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """How recordings ended, and how good each set is."""
+
+    waited: Waited
+    verdicts: tuple[PairVerdict, ...]
+
+
+@use_case(Right.READ)
+def wait_for_recordings(
+    services: Services, begun: Begun, tell: Callable[[Waiting], None] = lambda waiting: None
+) -> Recorded:
+    """Return what became of recordings, once they have ended."""
+    waited = wait_for(services, begun.jobs, tell=tell)
+    with services.catalogue.reading() as session:
+        return Recorded(waited, tuple(recordings.verdicts(session, begun.jobs)))
+
+
+@dataclass(frozen=True)
+class NextState:
+    """The state of a test that is to be recorded next, and by which rig."""
+
+    state: LoadState
+    rig: str
+
+    def value(self, channel: str) -> float:
+        """Return what a channel reads at the state, as planned; `InvalidInput` if that is not known."""
+        return state_value(self.state, channel)
+
+
+@use_case(Right.READ)
+def next_state(services: Services, campaign: str) -> NextState | None:
+    """Return the first state that is neither recorded nor waits; None where there is none."""
+    with services.catalogue.reading() as session:
+        state = recordings.next_state(session, campaign)
+        rig = definition(campaign_row(session, campaign)).rig
+    return None if state is None else NextState(state, rig)
+
+
+@use_case(Right.READ)
+def wait_for_hold(
+    services: Services, rig: str, channel: str, target: float, tolerance: float, seconds: float
+) -> None:
+    """Return when a channel has been near a value for some time; the instruments are let go before that.
+
+    Value and tolerance are in the unit of the channel's name.
+    """
+    from sms_jobs.instruments.connection import channel_reader
+
+    detector, described = HoldDetector(Hold(target, tolerance, seconds)), services.stations.rig(rig)
+    with channel_reader(described, channel) as read:
+        unit = next(one.unit for one in described.serial.channels if one.name == channel)
+        while not detector.held(time.monotonic(), in_unit_of_name(channel, read(), unit)):
+            time.sleep(_LOOK_EVERY_S)
+
+
+@use_case(Right.READ)
+def open_recordings(services: Services) -> list[OpenRecording]:
+    """Return the recordings that run, or wait for an operator."""
+    with services.catalogue.reading() as session:
+        return recordings.open_recordings(session, services.settings.spool_folder)
+
+
+@use_case(Right.RECORD)
+def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
+    """Go on with a recording that was interrupted: what is there is kept, the rest is recorded.
+
+    Parameters
+    ----------
+    prefix
+        Beginning of its job's id.
+    retake
+        Record the doubtful sets again; their frames are kept too.
+
+    Raises
+    ------
+    NotFound
+        There is no such job.
+    InvalidInput
+        It is no recording.
+    Conflict
+        It cannot go on, or has no doubtful set.
+    """
+    with services.catalogue.writing() as session:
+        row = recordings.recording_row(session, prefix)
+        if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
+            short = row.id[:SHORT_ID]
+            raise Conflict(f"job {short} has no doubtful set to record again; leave out --retake")
+        orders.retry(session, row.id, datetime.now(UTC), services.actor.name)
+        return Begun((row.id,), 1, named([row.id]))
+
+
+@use_case(Right.RECORD)
+def abort(services: Services, prefix: str | None = None) -> list[str]:
+    """Stop a recording, or all, now, and return the ids of their jobs; complete frames stay.
+
+    Raises `Conflict` where none runs, and as `resume` does.
+    """
+    with services.catalogue.writing() as session:
+        if prefix is not None:
+            ids = [recordings.recording_row(session, prefix).id]
+        else:
+            found = recordings.open_recordings(session, services.settings.spool_folder)
+            ids = [r.job_id for r in found if r.state in (JobState.QUEUED, JobState.RUNNING)]
+        now, by = datetime.now(UTC), services.actor.name
+        stopped = [i for i in ids if orders.cancel(session, i, now, by)]
+    if not stopped:
+        raise Conflict("no recording runs; nothing was stopped")
+    return stopped
+
+
+@use_case(Right.READ)
+def progress(services: Services, campaign: str) -> list[StateProgress]:
+    """Return what is recorded of each state, how good it is, and what is known of it already."""
+    with services.catalogue.reading() as session:
+        return progress_of(session, campaign)

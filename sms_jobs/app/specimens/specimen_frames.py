@@ -1,0 +1,200 @@
+"""A campaign's specimen frame: found on the reference surface, shown, and taken away again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, TypeAlias
+
+from sms_jobs.app.rules import use_case
+from sms_jobs.app.specimens import campaigns
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns as campaign_rows
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.people import Right
+from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from sms_jobs.records.campaign import Campaign
+    from sms_jobs.records.specimen_frame import SpecimenFrame
+
+Place: TypeAlias = tuple[float, ...]
+"""A pixel, column and row, of the reference image, or X, Y, Z of the world in mm."""
+
+_FOLLOW = ("strain", "gauges")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How a frame is to be found.
+
+    Attributes
+    ----------
+    x
+        A point of the x axis.
+    origin
+        None for the middle of the region.
+    plane
+        A third point, of the xy plane; None where a plane is fitted.
+    region
+        Outlines of a region of the image, as correlate takes them, to whose surface a plane is fitted.
+    view
+        Whose reference surface pixels are of; the first that measures shape if it is None.
+    markers
+        Whether pixels point at round marks, whose middles are taken.
+    """
+
+    x: Place
+    origin: Place | None = None
+    plane: Place | None = None
+    region: str = ""
+    view: str | None = None
+    markers: bool = False
+
+
+@dataclass(frozen=True)
+class FrameOf:
+    """The specimen frame of a campaign.
+
+    Attributes
+    ----------
+    frame
+        As it was found; None where nobody has.
+    of_scene
+        Whether, where nobody has, the scene of the virtual rig says where it lies.
+    stale
+        How many results lie along other axes by now, by kind.
+    """
+
+    campaign: str
+    frame: SpecimenFrame | None
+    of_scene: bool
+    stale: dict[str, int]
+
+
+@use_case(Right.READ)
+def show(services: Services, name: str) -> FrameOf:
+    """Return the specimen frame of a campaign; raises `NotFound` where there is none of that name."""
+    from sms_jobs.jobs.asking.campaign_matrix import matrix
+
+    with services.catalogue.reading() as session:
+        row = campaign_rows.campaign_row(session, name)
+        campaign = campaign_rows.definition(row)
+        cells = matrix(session, row, datetime.now(UTC))
+    stale = [cell.kind for cell in cells if cell.condition == "stale" and cell.kind in _FOLLOW]
+    counts = {kind: stale.count(kind) for kind in _FOLLOW if kind in stale}
+    return FrameOf(name, campaign.frame, campaign.frame is None and campaign.scene is not None, counts)
+
+
+@use_case(Right.COMPUTE)
+def find(services: Services, name: str, choice: Choice) -> FrameOf:
+    """Find the specimen frame of a campaign on its measured surface, and keep it from now on.
+
+    Strain and virtual gauges that lie along other axes are stale from then on; nothing else is.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or the reference surface of the view has not been computed.
+    InvalidInput
+        The points or the region tell no frame, or it is a calibration session.
+    Conflict
+        The campaign is changed by somebody else just now.
+    """
+    # Arrays and kernels, which nobody who only looks at campaigns should wait for.
+    from sms_jobs.app.specimens import frame_finding
+
+    before = _test(services, name)
+    if _in_world(choice):
+        frame = frame_finding.through_world_points(choice)
+    else:
+        frame = _on_surface(services, before, choice)
+    _amend(services, before, replace(before, frame=frame))
+    return show(services, name)
+
+
+@use_case(Right.COMPUTE)
+def drop(services: Services, name: str) -> FrameOf:
+    """Take the frame of a campaign away, so that the specimen's axes are the scene's or the world's again.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or it has no frame.
+    Conflict
+        It is changed by somebody else just now.
+    """
+    before = _test(services, name)
+    if before.frame is None:
+        raise NotFound(f"campaign {name} has no specimen frame that could be taken away")
+    _amend(services, before, replace(before, frame=None))
+    return show(services, name)
+
+
+def _test(services: Services, name: str) -> Campaign:
+    campaign = campaigns.definition(services, name)
+    if campaign.session is not None:
+        raise InvalidInput(f"{name} is a calibration session, which has no specimen; choose a test")
+    return campaign
+
+
+def _amend(services: Services, before: Campaign, after: Campaign) -> None:
+    from sms_jobs.jobs.archiving.importing import amend_campaign
+
+    if after != before:
+        amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
+
+
+def _in_world(choice: Choice) -> bool:
+    """Say whether the points are of the world; `InvalidInput` where they are neither, or of both."""
+    sizes = {len(one) for one in (choice.origin, choice.x, choice.plane) if one is not None}
+    if sizes not in ({2}, {3}):
+        raise InvalidInput(
+            "give all points as pixels, column,row, or all as places of the world, X,Y,Z in mm"
+        )
+    if (choice.plane is None) == (not choice.region):
+        raise InvalidInput("give a third point by --plane, or a region to fit a plane to by --fit")
+    if choice.origin is None and not choice.region:
+        raise InvalidInput("give the origin by --origin; only a fitted region has a middle of its own")
+    if sizes == {3} and (choice.region or choice.markers or choice.view):
+        raise InvalidInput("--fit, --markers and --view are for pixels; give the points as column,row")
+    return sizes == {3}
+
+
+def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> SpecimenFrame:
+    """Find a frame by pixels of a view's reference image, or by the plane of a region."""
+    from sms_jobs.app.holdings import reading
+    from sms_jobs.app.specimens.frame_finding import Finder
+    from sms_jobs.kinds.calibration_factors import known_view
+    from sms_jobs.kinds.products import CALIBRATION_FACTOR, SURFACE
+
+    view = choice.view or next(iter(campaign.shape_views), "")
+    if view not in campaign.shape_views:
+        known = ", ".join(campaign.shape_views) or "no view"
+        raise InvalidInput(
+            f"a frame is found on a measured shape, which campaign {campaign.name} has by {known}, not by "
+            f"{view or 'any other'}; choose a view that measures shape"
+        )
+    about = Subject(campaign.name, campaign.reference.label, view)
+    found = reading.newest_file(services, str(about), SURFACE.name).file
+    with services.archive.open(found) as dataset:
+        surface = dataset.read(SURFACE.stored_as, SURFACE.record)
+        stated = CALIBRATION_FACTOR.stored_as in dataset.names
+        factor = dataset.read(CALIBRATION_FACTOR.stored_as, CALIBRATION_FACTOR.record) if stated else None
+    known_by = None if factor is None else known_view(factor)
+    image = _texture(services, about) if choice.markers else None
+    return Finder(surface, known_by, image, choice).frame(found.content_hash)
+
+
+def _texture(services: Services, about: Subject) -> NDArray[np.generic]:
+    """Return the image of the reference state that marks are looked for in."""
+    from sms_jobs.app.holdings import reading
+    from sms_jobs.kinds.products import MEASURED
+    from sms_jobs.kinds.surface_ports import textured_by
+
+    recorded = reading.newest_file(services, str(textured_by(about)), MEASURED.name).file
+    with services.archive.open(recorded) as dataset:
+        return dataset.read(MEASURED.stored_as, MEASURED.record).texture

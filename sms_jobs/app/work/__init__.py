@@ -1,0 +1,1 @@
+"""Jobs, runs, queues and schedules."""

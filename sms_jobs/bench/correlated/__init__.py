@@ -1,0 +1,1 @@
+"""Pairs of images of one camera with exact truth."""

@@ -1,0 +1,1 @@
+"""Fringes and returns with exact truth."""

@@ -1,0 +1,1 @@
+"""Catalogues, queues and tuples of real size."""

@@ -1,0 +1,1 @@
+"""Test days on simulated rigs, and services that are killed meanwhile."""

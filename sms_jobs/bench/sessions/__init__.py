@@ -1,0 +1,1 @@
+"""Calibration sessions of exact geometry and noise."""

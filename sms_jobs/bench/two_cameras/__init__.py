@@ -1,0 +1,1 @@
+"""What two cameras measure, beside exact truth and other programs."""

@@ -1,0 +1,1 @@
+"""Scenes that other renderers show, and what is true of them."""

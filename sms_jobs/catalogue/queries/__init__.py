@@ -1,0 +1,1 @@
+"""Queries of files and load states: language, names and SQL."""

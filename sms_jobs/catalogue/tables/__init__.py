@@ -1,0 +1,1 @@
+"""Tables of the catalogue beside those of jobs and files."""

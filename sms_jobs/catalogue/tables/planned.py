@@ -1,0 +1,48 @@
+"""The table of what is to be recorded while a test goes on."""
+
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import JSON, ForeignKey, false
+from sqlalchemy.orm import Mapped, mapped_column
+
+from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.columns import MessageText, String
+
+
+class PlannedRecordingRow(Table):
+    """A state that is to be recorded once its trigger says so, and what has become of that."""
+
+    __tablename__ = "planned_recording"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), index=True)
+    state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"), unique=True)
+    position: Mapped[int]
+    """In which order those of a campaign come."""
+    trigger: Mapped[dict[str, Any]]
+    """See `records.triggers`."""
+    ask: Mapped[bool]
+    process: Mapped[bool]
+    status: Mapped[str] = mapped_column(String(16), index=True)
+    """See `records.shown.planned_recordings.Status`."""
+    held: Mapped[bool]
+    revision: Mapped[int]
+    """Of its trigger; what was found to hold for another one begins nothing."""
+    planned_at: Mapped[datetime]
+    planned_by: Mapped[str] = mapped_column(String(80))
+    due_at: Mapped[datetime | None]
+    """When it was due, once it has begun."""
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), unique=True)
+    seen: Mapped[float | None]
+    """What its channel read at `seen_at`, where it waits for one."""
+    seen_at: Mapped[datetime | None]
+    note: Mapped[str | None] = mapped_column(MessageText)
+    """What keeps it from being watched, or was found when it was recorded."""
+    look: Mapped[bool] = mapped_column(server_default=false())
+    """Whether there is to be a quick look at it once it is recorded."""
+    stop_if: Mapped[list[dict[str, Any]]] = mapped_column(JSON, server_default="[]")
+    """Limits beyond which that holds the plan, see `records.gauge_limits`."""
+    awaited: Mapped[bool] = mapped_column(server_default=false())
+    """Whether nothing behind it begins before its quick look was held against the limits."""
+    stopped_by: Mapped[str | None] = mapped_column(MessageText)
+    """Which limit has held the plan after it, until somebody lets it go on."""

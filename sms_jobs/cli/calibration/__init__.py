@@ -1,0 +1,1 @@
+"""`sms calibration`: calibrations of rigs."""

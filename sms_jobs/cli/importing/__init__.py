@@ -1,0 +1,1 @@
+"""`sms import`: measurements, images, boards and points of other programs."""

@@ -1,0 +1,142 @@
+"""Enters a campaign and the calibration of its rig.
+
+A campaign's definition is sealed too, so that a catalogue can be rebuilt from the archive alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import select
+
+from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.models import CalibrationRow, FileRow
+from sms_jobs.jobs.archiving import decisions
+from sms_jobs.jobs.archiving.acceptances import decided
+from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN, calibration_file
+from sms_jobs.jobs.archiving.repository import Repository, brought_in
+from sms_jobs.kinds import kind_named
+from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.kinds.parameters import checked_parameters
+from sms_jobs.records.calibration import Acceptance
+from sms_jobs.records.campaign import Campaign, CampaignDefinition
+from sms_jobs.records.subject import RESERVED_NAME, Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.sensors import Calibration
+
+
+def register_campaign(
+    catalogue: Catalogue,
+    archive: Archive,
+    campaign: Campaign,
+    calibration: Calibration | None,
+    now: datetime,
+    plan: str | None = None,
+) -> None:
+    """Add a campaign and, if given, a calibration of its own and the text of the file that defines both.
+
+    Raises
+    ------
+    Conflict
+        There is a campaign of that name; nothing is changed.
+    InvalidInput
+        It sets a parameter that its job kind does not take; nothing is changed.
+    """
+    for name, parameters in campaign.processing.items():
+        checked_parameters(kind_named(name), parameters)
+    with catalogue.reading() as session:
+        campaigns.refuse_taken_name(session, campaign.name)
+    with Repository(catalogue, archive).batch() as batch:
+        batch.seal({CAMPAIGN: CampaignDefinition(campaign, plan)}, defined(campaign.name, now))
+        if calibration is not None:
+            made = batch.seal({CALIBRATION: calibration}, _brought(calibration, now)).sealed
+            own = Acceptance(calibration.rig.name, made.content_hash, campaign.name)
+            batch.seal({ACCEPTANCE: own}, decided(own, _path(catalogue, made), now))
+        batch.enter(lambda session: campaigns.refuse_taken_name(session, campaign.name))
+
+
+def defined(campaign: str, at: datetime) -> Provenance:
+    """Return the provenance of what a campaign is."""
+    return brought_in(CAMPAIGN, Subject(campaign), at)
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A calibration that was brought in.
+
+    Attributes
+    ----------
+    number
+        Of the catalogue.
+    new
+        False where the catalogue had the same from another file.
+    in_use
+        Whether it is used for its rig.
+    """
+
+    number: int
+    new: bool
+    in_use: bool
+
+
+def register_calibration(
+    catalogue: Catalogue,
+    archive: Archive,
+    calibration: Calibration,
+    now: datetime,
+    *,
+    inputs: tuple[InputReference, ...] = (),
+    beside: Mapping[str, Any] | None = None,
+    accepted: bool = False,
+) -> Registered:
+    """Add a calibration of a rig: one that was made elsewhere, or the result of a session.
+
+    The first of a rig is used from the beginning. Any other waits until it is accepted by its number, so that
+    nobody's files change what a rig measures.
+
+    Parameters
+    ----------
+    inputs
+        Files that it comes from.
+    beside
+        Records that are stored with it: its covariance, and what is known of its quality.
+    accepted
+        Whether it is used for its rig even where that has others.
+
+    Raises
+    ------
+    Conflict
+        Its rig is known with other sensors; nothing is changed.
+    """
+    with catalogue.reading() as session:
+        decisions.refuse_other_sensors(session, calibration.rig)
+        accepted = accepted or not decisions.has_one(session, calibration.rig.name)
+    with Repository(catalogue, archive).batch() as batch:
+        records = {CALIBRATION: calibration, **(beside or {})}
+        made = batch.seal(records, _brought(calibration, now, inputs)).sealed
+        if accepted:
+            acceptance = Acceptance(calibration.rig.name, made.content_hash)
+            batch.seal({ACCEPTANCE: acceptance}, decided(acceptance, _path(catalogue, made), now))
+        kept = batch.enter(lambda session: decisions.refuse_other_sensors(session, calibration.rig))[0]
+    with catalogue.reading() as session:
+        number = session.scalars(
+            select(CalibrationRow.id).where(CalibrationRow.file_id == kept.file_id)
+        ).one()
+        return Registered(number, kept.new, decisions.is_used(session, number))
+
+
+def _brought(calibration: Calibration, at: datetime, inputs: tuple[InputReference, ...] = ()) -> Provenance:
+    return brought_in(CALIBRATION, Subject(RESERVED_NAME, calibration.rig.name), at, inputs=inputs)
+
+
+def _path(catalogue: Catalogue, sealed: Sealed) -> str:
+    """Return where a calibration lies by which the catalogue knows it: another file may be the same."""
+    with catalogue.reading() as session:
+        number = calibration_file(session, sealed.content_hash)
+        return sealed.path if number is None else session.get_one(FileRow, number).path

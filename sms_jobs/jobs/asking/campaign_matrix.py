@@ -1,0 +1,114 @@
+"""How far a campaign is: of each state, view and kind, what there is and whether it still holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TypeAlias
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.models import (
+    CampaignRow,
+    FileRow,
+    JobRow,
+    LoadStateRow,
+)
+from sms_jobs.jobs.results.stale import stale_files
+from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.records.job import ACTIVE, JobState
+from sms_jobs.records.shown.cells import Cell
+from sms_jobs.records.subject import Subject
+
+_Place: TypeAlias = tuple[str | None, str | None, str]
+"""State, view and kind."""
+
+
+@dataclass(frozen=True)
+class _File:
+    number: int
+    media_type: str
+
+
+def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
+    """Return what there is of a campaign, the oldest first, in a few queries however large it is.
+
+    What is stale, `stale_files` says. Where the newest job has reused a result, that is what there is.
+    """
+    files, by_job = _files(session, campaign.id)
+    jobs = _jobs(session, campaign)
+    stale = stale_files(session, campaign, now)
+    cells = []
+    for state, view, kind in dict.fromkeys([*files, *jobs]):
+        place = (state, view, kind)
+        job = jobs.get(place)
+        file = by_job.get((place, "" if job is None else job.reused_from or ""), files.get(place))
+        if job is not None and job.state is not JobState.SUCCEEDED and (file is None or _tells(job.state)):
+            condition = job.state.value
+        elif file is None or (kind != MEASUREMENT and kind not in all_kinds()):
+            continue  # not made yet, or no result: the definition of the campaign
+        elif kind == MEASUREMENT:
+            condition = "measured"
+        else:
+            condition = "stale" if file.number in stale else "computed"
+        cells.append(
+            Cell(
+                *place,
+                condition,
+                None if file is None else file.number,
+                "" if file is None else file.media_type,
+                None if job is None else job.id,
+            )
+        )
+    return cells
+
+
+def _tells(state: JobState) -> bool:
+    """Say whether the state of the newest job matters where an older one has given a result."""
+    return state in ACTIVE or state in (JobState.FAILED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR)
+
+
+@dataclass(frozen=True)
+class _Job:
+    id: str
+    state: JobState
+    reused_from: str | None
+
+
+def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dict[tuple[_Place, str], _File]]:
+    """Return the newest file of each place, and that of each place and job."""
+    rows = session.execute(
+        select(
+            LoadStateRow.label,
+            FileRow.view,
+            FileRow.source,
+            FileRow.id,
+            FileRow.media_type,
+            FileRow.job_id,
+        )
+        .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+        .where(FileRow.campaign_id == campaign_id)
+        .order_by(FileRow.id)
+    )
+    newest: dict[_Place, _File] = {}
+    by_job: dict[tuple[_Place, str], _File] = {}
+    for label, view, source, number, media_type, job in rows:
+        place = (label, view, source)
+        newest[place] = by_job[place, job or ""] = _File(number, media_type)
+    return newest, by_job
+
+
+def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, _Job]:
+    """Return the newest job of each place."""
+    rows = session.execute(
+        select(JobRow.subject, JobRow.kind, JobRow.id, JobRow.state, JobRow.reused_from)
+        .where(JobRow.campaign_id == campaign.id)
+        .order_by(JobRow.position)
+    )
+    found: dict[_Place, _Job] = {}
+    for subject, kind, job, state, reused_from in rows:
+        about = Subject.parse(subject)
+        found[about.state, about.view, kind] = _Job(job, state, reused_from)
+    return found

@@ -1,0 +1,384 @@
+"""What people ask about jobs: which there are, how they stand, and why."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import campaigns, family, job_counts
+from sms_jobs.catalogue.models import (
+    CampaignRow,
+    DependencyRow,
+    EventRow,
+    FileRow,
+    JobCountRow,
+    JobRow,
+    QueueRow,
+    RigRow,
+    SpecimenRow,
+    WorkerRow,
+)
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.jobs.devices import locks
+from sms_jobs.jobs.planning import chosen
+from sms_jobs.jobs.planning.chosen import Chosen
+from sms_jobs.jobs.running import empty_results
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, SHORT_ID, UNSUCCESSFUL, JobState
+
+
+@dataclass(frozen=True)
+class JobView:
+    """One job as it is shown."""
+
+    id: str
+    kind: str
+    subject: str
+    state: str
+    progress: float
+    message: str
+    error: str | None
+    attempts: int
+    priority: int
+    submitted_at: datetime
+    submitted_by: str
+    started_at: datetime | None
+    finished_at: datetime | None
+    seconds: float | None
+    reused_from: str | None
+    parameters: dict[str, Any]
+
+
+def job_view(row: JobRow) -> JobView:
+    """Return a job's row as it is shown."""
+    begun, ended = row.started_at, row.finished_at
+    return JobView(
+        id=row.id,
+        kind=row.kind,
+        subject=row.subject,
+        state=row.state.value,
+        progress=row.progress,
+        message=row.message,
+        error=row.error,
+        attempts=row.attempts,
+        priority=row.priority,
+        submitted_at=row.submitted_at,
+        submitted_by=row.submitted_by,
+        started_at=begun,
+        finished_at=ended,
+        seconds=(ended - begun).total_seconds() if begun and ended and ended >= begun else None,
+        reused_from=row.reused_from,
+        parameters=row.parameters,
+    )
+
+
+def find_job(session: Session, prefix: str) -> JobRow:
+    """Return the job of that id, or else the one whose id begins so.
+
+    Raises
+    ------
+    NotFound, Conflict
+        There is none, or more than one.
+    """
+    # Pages and programs know whole ids, and an index leads to them.
+    named = session.get(JobRow, prefix)
+    if named is not None:
+        return named
+    matching = session.scalars(
+        select(JobRow).where(JobRow.id.startswith(prefix, autoescape=True)).limit(2)
+    ).all()
+    if not prefix or not matching:
+        raise NotFound(f"there is no job '{prefix}'; 'sms job list' shows them")
+    if len(matching) > 1:
+        raise Conflict(f"'{prefix}' is the beginning of several job ids; give more characters")
+    return matching[0]
+
+
+def find_jobs(session: Session, prefixes: Collection[str]) -> list[str]:
+    """Return the ids of the jobs whose ids begin so; raises as `find_job` does."""
+    return [find_job(session, prefix).id for prefix in prefixes]
+
+
+def list_jobs(
+    session: Session,
+    *,
+    campaign: str | None = None,
+    states: Collection[JobState] = (),
+    kind: str | None = None,
+    limit: int = 50,
+    after: str | None = None,
+) -> list[JobView]:
+    """Return jobs, the latest submitted first; those after the job whose id begins so, where it is given."""
+    where: list[ColumnElement[bool]] = []
+    if campaign is not None:
+        where.append(JobRow.campaign_id == campaigns.campaign_id(session, campaign))
+    if kind is not None:
+        where.append(JobRow.kind == kind)
+    if after is not None:
+        where.append(JobRow.position < find_job(session, after).position)
+    # An index has those of each state in order, and none those of several.
+    each = [[*where, JobRow.state == state] for state in set(states)] or [where]
+    rows = [
+        row
+        for some in each
+        for row in session.scalars(select(JobRow).where(*some).order_by(JobRow.position.desc()).limit(limit))
+    ]
+    return [job_view(row) for row in sorted(rows, key=lambda row: -row.position)[:limit]]
+
+
+def counts(session: Session, some: Chosen | None = None) -> dict[str, int]:
+    """Return how many jobs are in each state; among some jobs, or all."""
+    if some is None:
+        return chosen.by_state(session, Chosen())
+    # One that had ended before and was tried again since counts as active.
+    return dict(Counter(chosen.by_state(session, some)) - Counter(some.ended_before))
+
+
+def still_active(counted: dict[str, int]) -> int:
+    """Return how many of some counted jobs have not ended."""
+    return sum(counted.get(state.value, 0) for state in ACTIVE)
+
+
+@dataclass(frozen=True)
+class Event:
+    """A change of a job's state."""
+
+    at: datetime
+    state: str
+    attempt: int
+    message: str
+
+
+def events(session: Session, job_id: str) -> list[Event]:
+    """Return what has happened to a job, in order."""
+    rows = session.scalars(select(EventRow).where(EventRow.job_id == job_id).order_by(EventRow.id))
+    return [Event(row.at, row.state.value, row.attempt, row.message) for row in rows]
+
+
+def explain(session: Session, job: JobRow, now: datetime) -> list[str]:
+    """Say in sentences why a job stands where it does."""
+    say = [f"{job.kind} {job.subject} is {job.state.value}" + (f": {job.message}" if job.message else "")]
+    if job.state is JobState.WAITING:
+        say += _why_waiting(session, job)
+    elif job.state is JobState.QUEUED:
+        say += _why_queued(session, job, now)
+    elif job.state is JobState.RUNNING:
+        say.append(f"it runs in process {job.pid} under worker {job.worker_id}, attempt {job.attempts}")
+    elif job.state is JobState.SUCCEEDED:
+        say += empty_results.said_of(session, job)
+        say += _why_computed(session, job)
+        say += _staleness(session, job, now)
+    return say
+
+
+def _why_waiting(session: Session, job: JobRow) -> list[str]:
+    producers = session.scalars(
+        select(JobRow)
+        .join(DependencyRow, DependencyRow.producer_id == JobRow.id)
+        .where(DependencyRow.job_id == job.id, JobRow.state != JobState.SUCCEEDED)
+        .distinct()
+    ).all()
+    return [
+        f"it needs {p.kind} {p.subject} (job {p.id[:SHORT_ID]}), which is {p.state.value}" for p in producers
+    ]
+
+
+def _why_queued(session: Session, job: JobRow, now: datetime) -> list[str]:
+    ahead = session.scalar(
+        select(func.count()).where(
+            JobRow.state == JobState.QUEUED,
+            JobRow.queue == job.queue,
+            (JobRow.priority > job.priority)
+            | ((JobRow.priority == job.priority) & (JobRow.position < job.position)),
+        )
+    )
+    held_back = session.get(QueueRow, job.queue)
+    if held_back is not None and held_back.paused_at is not None:
+        hint = (
+            "it goes on by itself" if held_back.for_room else f"'sms queue resume {job.queue}' lets it go on"
+        )
+        return [f"the queue '{job.queue}' is paused: {held_back.reason}; {hint}"]
+    workers = session.scalars(select(WorkerRow).where(WorkerRow.draining.is_(False))).all()
+    serving = [w for w in workers if job.queue in w.queues.split(",")]
+    if not serving:
+        return [f"no worker serves the queue '{job.queue}'; start one with 'sms up'"]
+    alive = [w for w in serving if now - w.beat_at <= ALIVE_WITHIN]
+    if alive and all(w.held_for is not None for w in alive):
+        return [f"worker {w.id} claims no job: {w.held_for}; it goes on by itself" for w in alive]
+    devices = [f"it needs {lock}" for lock in locks.waited_for(session, job.id, now)]
+    return [*devices, f"{ahead} jobs of the queue '{job.queue}' come before it"]
+
+
+def _why_computed(session: Session, job: JobRow) -> list[str]:
+    if job.reused_from is not None:
+        same = "same kind and version, parameters, inputs and definition"
+        return [f"it was reused from job {job.reused_from[:SHORT_ID]}: {same}"]
+    earlier = session.scalar(
+        select(JobRow)
+        .where(
+            JobRow.kind == job.kind,
+            JobRow.subject == job.subject,
+            JobRow.state == JobState.SUCCEEDED,
+            JobRow.reused_from.is_(None),
+            JobRow.position < job.position,
+        )
+        .order_by(JobRow.position.desc())
+        .limit(1)
+    )
+    if earlier is None:
+        return ["it was computed: nothing like it had been before"]
+    if not job.use_cache:
+        return ["it was computed because reuse was switched off for it"]
+    return [
+        f"it was computed although job {earlier.id[:SHORT_ID]} is alike: {why}"
+        for why in _changes(session, earlier, job)
+    ]
+
+
+def _changes(session: Session, earlier: JobRow, job: JobRow) -> list[str]:
+    changes = []
+    if earlier.kind_version != job.kind_version:
+        changes.append(f"{job.kind} is now version {job.kind_version}, then {earlier.kind_version}")
+    for name in sorted(earlier.parameters.keys() | job.parameters.keys()):
+        then, now = earlier.parameters.get(name), job.parameters.get(name)
+        if then != now:
+            was, is_now = ("not given" if value is None else value for value in (then, now))
+            changes.append(f"parameter {name} was {was}, now {is_now}")
+    then_hashes, now_hashes = family.input_hashes(session, earlier.id), family.input_hashes(session, job.id)
+    changes += [
+        f"the content of its input '{role}' is another"
+        for role in sorted(then_hashes.keys() | now_hashes.keys())
+        if then_hashes.get(role) != now_hashes.get(role)
+    ]
+    return changes or [
+        "what the campaign's definition says of it is another, or its files were gone or damaged"
+    ]
+
+
+def _staleness(session: Session, job: JobRow, now: datetime) -> list[str]:
+    # What makes keys reads archives, which nobody who only lists jobs should wait for.
+    from sms_jobs.jobs.results.stale import stale_files
+
+    made = session.scalars(select(FileRow.id).where(FileRow.job_id == (job.reused_from or job.id))).all()
+    stale = stale_files(session, session.get_one(CampaignRow, job.campaign_id), now) if made else {}
+    return [f"it is stale: {why}" for why in dict.fromkeys(stale[n] for n in made if n in stale)]
+
+
+@dataclass(frozen=True)
+class WorkerView:
+    """One supervisor as it is shown."""
+
+    id: str
+    host: str
+    pid: int
+    queues: str
+    concurrency: int
+    processes: int
+    """How many of them lived at the last beat."""
+    beat_at: datetime
+    draining: bool
+    held_for: str | None
+    running: int
+
+
+def workers(session: Session, since: datetime) -> list[WorkerView]:
+    """Return the workers that have given a sign of life since a time."""
+    running = (
+        select(func.count())
+        .where(JobRow.worker_id == WorkerRow.id, JobRow.state == JobState.RUNNING)
+        .correlate(WorkerRow)
+        .scalar_subquery()
+    )
+    rows = session.execute(
+        select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
+    )
+    return [
+        WorkerView(
+            *(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining),
+            *(w.held_for, count),
+        )
+        for w, count in rows
+    ]
+
+
+def campaign_names(session: Session) -> list[str]:
+    """Return the names of all campaigns, the newest first."""
+    return list(session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc())))
+
+
+@dataclass(frozen=True)
+class CampaignView:
+    """One campaign as it is listed."""
+
+    campaign: str
+    specimen: str
+    rig: str
+    states: int
+    views: int
+    created_at: datetime
+    jobs: dict[str, int]
+
+
+def list_campaigns(session: Session, limit: int) -> list[CampaignView]:
+    """Return campaigns with how many jobs of each are in which state, the newest first."""
+    rows = session.execute(
+        select(
+            CampaignRow.id,
+            CampaignRow.name,
+            SpecimenRow.name,
+            RigRow.name,
+            CampaignRow.views,
+            CampaignRow.created_at,
+        )
+        .join(SpecimenRow, SpecimenRow.id == CampaignRow.specimen_id)
+        .join(RigRow, RigRow.id == CampaignRow.rig_id)
+        .order_by(CampaignRow.id.desc())
+        .limit(limit)
+    ).all()
+    jobs: dict[int, dict[str, int]] = {row[0]: {} for row in rows}
+    states: dict[int, int] = {}
+    for some in parts(list(jobs)):
+        by = (JobCountRow.campaign_id, JobCountRow.state)
+        for (number, state), count in job_counts.counted(session, *by, campaigns=some).items():
+            jobs[number][state.value] = count
+        states |= campaigns.number_of_states(session, some)
+    return [
+        CampaignView(name, specimen, rig, states.get(number, 0), len(views), created, jobs[number])
+        for number, name, specimen, rig, views, created in rows
+    ]
+
+
+def running(session: Session, some: Chosen) -> str:
+    """Name the jobs that run among some jobs, and how far they have come."""
+    rows = session.scalars(
+        select(JobRow).where(*some.where, JobRow.state == JobState.RUNNING).order_by(JobRow.position).limit(4)
+    )
+    return ", ".join(f"{row.kind} {row.subject.partition('/')[2] or row.subject}" for row in rows)
+
+
+def reused(session: Session, some: Chosen) -> int:
+    """Return how many of some jobs were reused."""
+    query = select(func.count()).where(*some.where, JobRow.reused_from.is_not(None))
+    return session.scalar(query) or 0
+
+
+def failure(session: Session, some: Chosen) -> str:
+    """Name the latest of some jobs that failed, and say why and what to do."""
+    row = session.scalar(
+        select(JobRow)
+        .where(*some.where, JobRow.state.in_(UNSUCCESSFUL - {JobState.SKIPPED}))
+        .order_by(func.coalesce(JobRow.finished_at, JobRow.started_at).desc())
+        .limit(1)
+    )
+    if row is None:
+        return "they were skipped; see 'sms job list'"
+    return (
+        f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
+        f"see 'sms job logs {row.id[:SHORT_ID]}', then 'sms job retry {row.id[:SHORT_ID]}'"
+    )

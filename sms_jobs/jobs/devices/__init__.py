@@ -1,0 +1,1 @@
+"""The rigs of this host, and who holds a device."""

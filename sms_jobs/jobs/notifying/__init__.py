@@ -1,0 +1,1 @@
+"""Notifications: collected, queued, sent once."""

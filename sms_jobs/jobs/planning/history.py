@@ -1,0 +1,172 @@
+"""How long jobs of a kind have taken here before."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from statistics import median
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import valid_calibrations
+from sms_jobs.catalogue.campaigns import number_of_states
+from sms_jobs.catalogue.models import CampaignRow, JobRow, WorkerRow
+from sms_jobs.catalogue.parts import parts
+from sms_jobs.jobs.planning.coming import Coming
+from sms_jobs.records.job import JobState
+from sms_jobs.records.subject import Subject
+from sms_jobs.records.views import view_of
+
+_REMEMBERED = 200
+"""Jobs of a kind, the latest, that an estimate looks back on."""
+
+
+@dataclass(frozen=True)
+class _Size:
+    """What the work of a job grows with: pixels of all its views and states, and frames of each."""
+
+    pixels: int
+    frames: int
+
+
+@dataclass(frozen=True)
+class _Past:
+    """A job that has succeeded, and what it took."""
+
+    version: int
+    parameters: dict[str, Any]
+    size: _Size | None
+    host: str
+    seconds: float
+
+
+class History:
+    """What jobs of a kind have taken before.
+
+    Parameters
+    ----------
+    hosts
+        That work now.
+    by_frames
+        Kinds whose jobs take longer for more frames.
+    jobs
+        Those that will be asked about.
+    """
+
+    def __init__(
+        self, session: Session, hosts: Collection[str], by_frames: Collection[str], jobs: Iterable[Coming]
+    ) -> None:
+        self._session = session
+        self._hosts = hosts
+        self._by_frames = by_frames
+        self._past: dict[str, list[_Past]] = {}
+        self._campaigns: dict[int, _Images] = {}
+        self._medians: dict[tuple[Any, ...], float | None] = {}
+        self._learn({job.campaign_id for job in jobs})
+
+    def seconds(self, job: Coming) -> float | None:
+        """Return the median of the jobs that are most like this one; None where its kind has never run."""
+        size = self._size(job.kind, job.campaign_id, job.subject)
+        key = (job.kind, job.kind_version, str(job.parameters), size)
+        if key not in self._medians:
+            self._medians[key] = self._median(job, size)
+        return self._medians[key]
+
+    def _median(self, job: Coming, size: _Size | None) -> float | None:
+        by_likeness: dict[tuple[bool, ...], list[float]] = defaultdict(list)
+        for past in self._of_kind(job.kind):
+            alike = (
+                past.parameters == job.parameters,
+                past.size == size,
+                past.host in self._hosts,
+                past.version == job.kind_version,
+            )
+            by_likeness[alike].append(past.seconds * self._ratio(job.kind, size, past.size))
+        return median(by_likeness[max(by_likeness)]) if by_likeness else None
+
+    def _ratio(self, kind: str, size: _Size | None, past: _Size | None) -> float:
+        if size is None or past is None:
+            return 1.0
+        frames = size.frames / past.frames if kind in self._by_frames else 1.0
+        return size.pixels / past.pixels * frames
+
+    def _of_kind(self, kind: str) -> list[_Past]:
+        if kind not in self._past:
+            rows = self._session.execute(
+                select(
+                    JobRow.kind_version,
+                    JobRow.parameters,
+                    JobRow.campaign_id,
+                    JobRow.subject,
+                    WorkerRow.host,
+                    JobRow.started_at,
+                    JobRow.finished_at,
+                )
+                .join(WorkerRow, WorkerRow.id == JobRow.worker_id)
+                .where(
+                    JobRow.kind == kind,
+                    JobRow.state == JobState.SUCCEEDED,
+                    JobRow.reused_from.is_(None),
+                    JobRow.started_at.is_not(None),
+                )
+                .order_by(JobRow.finished_at.desc())
+                .limit(_REMEMBERED)
+            ).all()
+            self._learn({row.campaign_id for row in rows})
+            self._past[kind] = [
+                _Past(version, parameters, self._size(kind, campaign, subject), host, _between(begun, ended))
+                for version, parameters, campaign, subject, host, begun, ended in rows
+            ]
+        return self._past[kind]
+
+    def _size(self, kind: str, campaign_id: int, subject: str) -> _Size | None:
+        return self._campaigns[campaign_id].size(Subject.parse(subject))
+
+    def _learn(self, campaigns: Collection[int]) -> None:
+        # Of all at once: one by one they would take longer than all else of an estimate.
+        for some in parts(sorted(set(campaigns) - self._campaigns.keys())):
+            self._campaigns |= _images(self._session, some)
+
+
+@dataclass(frozen=True)
+class _Images:
+    """The images of a campaign: pixels of a view's camera, frames of a measurement, number of states."""
+
+    pixels: Mapping[str, int]
+    frames: int
+    states: int
+
+    def size(self, subject: Subject) -> _Size | None:
+        if subject.view is not None:
+            pixels = self.pixels.get(subject.view, 0)
+        else:
+            pixels = sum(self.pixels.values()) * (self.states if subject.state is None else 1)
+        return _Size(pixels, self.frames) if pixels and self.frames else None
+
+
+def _images(session: Session, numbers: Sequence[int]) -> dict[int, _Images]:
+    """Return the images of campaigns that are few enough for one statement."""
+    used = valid_calibrations.used_for_campaigns(session, numbers)
+    states = number_of_states(session, numbers)
+    rows = session.execute(
+        select(CampaignRow.id, CampaignRow.views, CampaignRow.frames).where(CampaignRow.id.in_(numbers))
+    )
+    found = {}
+    for number, views, frames in rows:
+        pixels = {
+            name: sensor["columns"] * sensor["rows"]
+            for calibration in used[number]
+            for name, sensor in calibration.sensors.items()
+        }
+        of_views = {view: pixels.get(view_of(view).camera, 0) for view in views}
+        found[number] = _Images(of_views, frames, states.get(number, 0))
+    return found
+
+
+def _between(begun: datetime | None, ended: datetime | None) -> float:
+    # A clock that was set back makes no job end before it began.
+    return max((ended - begun).total_seconds(), 0.0) if begun and ended else 0.0

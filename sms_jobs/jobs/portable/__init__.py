@@ -1,0 +1,1 @@
+"""Folders that carry a campaign from one archive to another."""

@@ -1,0 +1,1 @@
+"""Rebuilds the catalogue from the files of the archive."""

@@ -1,0 +1,1 @@
+"""Recordings with instruments: planned, begun, looked at, and picked up again."""

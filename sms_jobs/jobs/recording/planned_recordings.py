@@ -1,0 +1,400 @@
+"""Plans of recordings: rows of the catalogue that say which state is recorded next, and when.
+
+The recordings of a campaign come in one order. The first that is neither recorded nor skipped is next: it
+begins when its trigger says so, and none begins before the one before it is recorded or skipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from datetime import datetime
+from typing import NamedTuple
+
+from sqlalchemy import ColumnElement, and_, func, or_, select, update
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.campaigns import campaign_id, state_ids
+from sms_jobs.catalogue.models import (
+    CampaignRow,
+    JobRow,
+    LoadStateRow,
+    RigRow,
+    WorkerRow,
+)
+from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
+from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.kinds.kind import rig_queue
+from sms_jobs.records import triggers
+from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
+from sms_jobs.records.job import ALIVE_WITHIN, SHORT_ID, JobState
+from sms_jobs.records.shown.planned_recordings import PlannedRecording, Status
+from sms_jobs.records.triggers import Every, Trigger
+
+_OPEN = (Status.PLANNED.value, Status.BEGUN.value)
+OPEN = PlannedRecordingRow.status.in_(_OPEN)
+"""Of a row that was neither skipped nor noted as recorded."""
+AWAITED = and_(PlannedRecordingRow.status == Status.RECORDED.value, PlannedRecordingRow.awaited.is_(True))
+"""Of a row whose quick look was not held against its limits yet."""
+_RECORDED = Status.RECORDED.value
+_RUNS = (JobState.QUEUED, JobState.WAITING, JobState.RUNNING, JobState.LOST)
+
+
+class Planned(NamedTuple):
+    """A row, and what it is about."""
+
+    row: PlannedRecordingRow
+    campaign: str
+    rig: str
+    label: str
+    job: JobRow | None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is neither recorded nor skipped."""
+        done = self.job is not None and self.job.state is JobState.SUCCEEDED
+        return self.row.status in _OPEN and not done
+
+
+def planned(session: Session, campaigns: Collection[int]) -> list[Planned]:
+    """Return the rows of some campaigns, in their order."""
+    return _rows(session, PlannedRecordingRow.campaign_id.in_(campaigns))
+
+
+def anything_open(session: Session) -> bool:
+    """Say whether any recording is planned that was neither skipped nor noted as recorded and looked at."""
+    return bool(session.scalar(select(select(PlannedRecordingRow.id).where(or_(OPEN, AWAITED)).exists())))
+
+
+def next_ones(session: Session) -> list[Planned]:
+    """Return of each campaign the first recording that was neither skipped nor noted as recorded."""
+    first = (
+        select(PlannedRecordingRow.campaign_id, func.min(PlannedRecordingRow.position))
+        .where(OPEN)
+        .group_by(PlannedRecordingRow.campaign_id)
+        .order_by(PlannedRecordingRow.campaign_id)
+    )
+    places = session.execute(first).all()
+    return [
+        one
+        for number, position in places
+        for one in _rows(
+            session,
+            and_(PlannedRecordingRow.campaign_id == number, PlannedRecordingRow.position == position, OPEN),
+        )
+    ]
+
+
+def _rows(session: Session, which: ColumnElement[bool]) -> list[Planned]:
+    rows = session.execute(
+        select(PlannedRecordingRow, CampaignRow.name, RigRow.name, LoadStateRow.label, JobRow)
+        .join(CampaignRow, CampaignRow.id == PlannedRecordingRow.campaign_id)
+        .join(RigRow, RigRow.id == CampaignRow.rig_id)
+        .join(LoadStateRow, LoadStateRow.id == PlannedRecordingRow.state_id)
+        .outerjoin(JobRow, JobRow.id == PlannedRecordingRow.job_id)
+        .where(which)
+        .order_by(PlannedRecordingRow.campaign_id, PlannedRecordingRow.position)
+    )
+    return [Planned(*row) for row in rows]
+
+
+def put(
+    session: Session,
+    campaign: str,
+    wanted: Sequence[tuple[str, Trigger]],
+    by: str,
+    now: datetime,
+    *,
+    ask: bool = False,
+    process: bool = False,
+    look: Look = NO_LOOK,
+) -> None:
+    """Plan recordings of states, behind those that are planned; one that is planned gets the new trigger.
+
+    Parameters
+    ----------
+    wanted
+        Labels of states, and what each waits for.
+    by
+        Who plans it.
+    ask, process
+        See `recordings.requests`.
+    look
+        Whether there is to be a quick look at each, and where that holds the plan.
+
+    Raises
+    ------
+    Conflict
+        A state was recorded by the plan, or is just being recorded.
+    NotFound
+        There is no such campaign or state.
+    """
+    number = _locked(session, campaign)
+    there = {one.label: one for one in planned(session, [number])}
+    known = state_ids(session, number)
+    last = max((one.row.position for one in there.values()), default=0)
+    for label, trigger in wanted:
+        if label not in known:
+            raise NotFound(f"campaign {campaign} has no state {label}; 'sms campaign add-state' adds one")
+        values = {"trigger": triggers.as_json(trigger), "ask": ask, "process": process, **_looked_at(look)}
+        said = {"planned_at": now, "planned_by": by, "seen": None, "seen_at": None, "note": None}
+        found = there.get(label)
+        if found is not None and found.row.status not in (Status.PLANNED.value, Status.SKIPPED.value):
+            raise Conflict(_why_not(found))
+        if found is not None and found.row.status == Status.PLANNED.value:
+            _change(found.row, revision=found.row.revision + 1, **values, **said)
+            continue
+        last += 1
+        again = {
+            "position": last,
+            "status": Status.PLANNED.value,
+            "held": False,
+            "job_id": None,
+            "due_at": None,
+        }
+        if found is not None:
+            _change(found.row, revision=found.row.revision + 1, **again, **values, **said)
+        else:
+            session.add(
+                PlannedRecordingRow(
+                    campaign_id=number, state_id=known[label], revision=0, **again, **values, **said
+                )
+            )
+
+
+def _looked_at(look: Look) -> dict[str, object]:
+    """Return what a row keeps of the look that is wanted."""
+    limits = [limit.as_json() for limit in look.stop_if]
+    return {"look": look.wanted, "stop_if": limits, "awaited": bool(limits), "stopped_by": None}
+
+
+def set_held(session: Session, campaign: str, labels: Collection[str], held: bool) -> list[str]:
+    """Hold some planned recordings back, or all, or let them go on; return the states that changed.
+
+    One that is held keeps those behind it from beginning, too. Raises as `skip` does.
+    """
+
+    def hold(one: Planned) -> bool:
+        if one.row.status != Status.PLANNED.value:
+            if labels:
+                raise Conflict(_why_not(one))
+            return False
+        changed = one.row.held is not held
+        one.row.held = held
+        return changed
+
+    if not held:
+        session.execute(
+            update(PlannedRecordingRow)
+            .where(PlannedRecordingRow.campaign_id == _locked(session, campaign))
+            .values(stopped_by=None)
+        )
+
+    return _each(session, campaign, labels, hold)
+
+
+def skip(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
+    """Leave out some planned recordings, or the next one, and return their states.
+
+    Raises
+    ------
+    Conflict
+        One is recorded, or just being recorded.
+    NotFound
+        There is no such campaign, or nothing planned of such a state.
+    """
+    chosen = labels or _next_label(session, campaign)
+
+    def leave_out(one: Planned) -> bool:
+        if not one.is_open or (one.job is not None and one.job.state in _RUNS):
+            raise Conflict(_why_not(one))
+        _change(one.row, status=Status.SKIPPED.value, revision=one.row.revision + 1)
+        return True
+
+    return _each(session, campaign, chosen, leave_out)
+
+
+def drop(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
+    """Forget some recordings of a plan, or all that do not run; nothing that was recorded is lost.
+
+    Raises as `skip` does.
+    """
+
+    def forget(one: Planned) -> bool:
+        if one.job is not None and one.job.state in _RUNS:
+            if labels:
+                raise Conflict(_why_not(one))
+            return False
+        session.delete(one.row)
+        return True
+
+    return _each(session, campaign, labels, forget)
+
+
+def move(session: Session, campaign: str, label: str, before: str | None) -> None:
+    """Let a planned recording come before another one, or last where that is None.
+
+    Raises
+    ------
+    Conflict
+        One of them has begun already, or is skipped.
+    InvalidInput
+        Both are the same.
+    NotFound
+        There is no such campaign, or nothing planned of such a state.
+    """
+    if label == before:
+        raise InvalidInput(f"{label} cannot come before itself: name another state")
+    rows = planned(session, [_locked(session, campaign)])
+    for name in (label, before):
+        if name is None:
+            continue
+        found = _of(rows, campaign, name)
+        if found.row.status != Status.PLANNED.value:
+            raise Conflict(_why_not(found))
+    waiting = [one for one in rows if one.row.status == Status.PLANNED.value]
+    positions = [one.row.position for one in waiting]
+    moved = _of(waiting, campaign, label)
+    order = [one for one in waiting if one is not moved]
+    place = len(order) if before is None else [one.label for one in order].index(before)
+    order.insert(place, moved)
+    for one, position in zip(order, positions, strict=True):
+        # What was found to hold for one that is not next any more begins nothing.
+        if one.row.position != position:
+            _change(one.row, position=position, revision=one.row.revision + 1)
+
+
+def shown(session: Session, now: datetime, campaign: str | None = None) -> list[PlannedRecording]:
+    """Return the plan of a campaign, or every plan with something left to record.
+
+    Parameters
+    ----------
+    now
+        With time zone; what waits for a time says how long.
+
+    Raises `NotFound` where there is no such campaign.
+    """
+    if campaign is None:
+        numbers = session.scalars(select(PlannedRecordingRow.campaign_id).where(OPEN).distinct()).all()
+    else:
+        numbers = [campaign_id(session, campaign)]
+    rows = planned(session, numbers)
+    following: dict[str, Planned] = {}
+    for one in rows:
+        if one.is_open:
+            following.setdefault(one.campaign, one)
+    served = _served(session, now) if following else set()
+    return [_shown(one, rows, served, following.get(one.campaign) is one) for one in rows]
+
+
+def _served(session: Session, now: datetime) -> set[str]:
+    """Return the queues that a living worker serves."""
+    alive = select(WorkerRow.queues).where(
+        WorkerRow.beat_at >= now - ALIVE_WITHIN, WorkerRow.draining.is_(False)
+    )
+    return {queue for queues in session.scalars(alive) for queue in queues.split(",")}
+
+
+def _shown(one: Planned, rows: Sequence[Planned], served: Collection[str], is_next: bool) -> PlannedRecording:
+    row, trigger = one.row, triggers.from_json(one.row.trigger)
+    due = [r.row.due_at for r in rows if r.campaign == one.campaign and r.row.due_at is not None]
+    own = [r for r in rows if r.campaign == one.campaign]
+    waits_for = _waits_for(one, trigger, max(due, default=None), own) if is_next else ""
+    if is_next and (queue := rig_queue(one.rig)) not in served:
+        waits_for += f"; no worker serves {queue}: start 'sms up' on the host of the rig"
+    return PlannedRecording(
+        one.campaign,
+        one.label,
+        str(trigger),
+        _status(one),
+        is_next,
+        waits_for,
+        row.due_at,
+        row.seen,
+        row.seen_at,
+        row.job_id,
+        row.planned_by,
+        row.note or "",
+        tuple(str(GaugeLimit.from_json(kept)) for kept in row.stop_if),
+        row.stopped_by or "",
+    )
+
+
+def _status(one: Planned) -> str:
+    if one.job is not None and one.row.status == Status.BEGUN.value:
+        return Status.RECORDED.value if one.job.state is JobState.SUCCEEDED else one.job.state.value
+    return "held" if one.row.held and one.row.status == Status.PLANNED.value else one.row.status
+
+
+def _waits_for(one: Planned, trigger: Trigger, before: datetime | None, rows: Sequence[Planned]) -> str:
+    if one.job is not None:
+        return _why_not(one)
+    if one.row.held:
+        why = next((f": {each.row.stopped_by}" for each in rows if each.row.stopped_by), "")
+        return f"it is held back{why}; 'sms acquire plan go {one.campaign}' lets it go on"
+    looked = next((each.label for each in rows if each.row.awaited and each.row.status == _RECORDED), None)
+    if looked is not None:
+        return f"waits for the quick look at {looked}; 'sms acquire plan show {one.campaign}' tells of it"
+    words = f"waits for its time: {trigger}"
+    if isinstance(trigger, Every):
+        due = trigger.next_time(before)
+        words = "it is due" if due is None else f"is due at {due.astimezone():%Y-%m-%d %H:%M:%S}"
+    elif not isinstance(trigger, triggers.InTurn):
+        seen = "" if one.row.seen is None else f"; it read {one.row.seen:g} last"
+        words = f"waits for {trigger}{seen}"
+    return f"{words}; {one.row.note}" if one.row.note else words
+
+
+def _why_not(one: Planned) -> str:
+    """Say what has become of a recording that is not to be changed any more, or not yet again."""
+    if one.job is None:
+        skipped = one.row.status == Status.SKIPPED.value
+        hint = f"; 'sms acquire plan {one.campaign} --state {one.label}' plans it again" if skipped else ""
+        return f"{one.label} is {one.row.status}{hint}"
+    short, state = one.job.id[:SHORT_ID], one.job.state
+    if state is JobState.SUCCEEDED:
+        return f"{one.label} is recorded, by job {short}"
+    if state in _RUNS:
+        return f"{one.label} is being recorded, job {short} is {state.value}; 'sms acquire abort' stops it"
+    reason = f" ({one.job.error or one.job.message})" if one.job.error or one.job.message else ""
+    became = "needs an operator" if state is JobState.NEEDS_OPERATOR else f"is {state.value}"
+    return (
+        f"the recording of {one.label} {became}{reason}: 'sms acquire resume {short}' goes on with it, "
+        f"'sms acquire plan skip {one.campaign}' without it"
+    )
+
+
+def _each(
+    session: Session, campaign: str, labels: Collection[str], change: Callable[[Planned], bool]
+) -> list[str]:
+    rows = planned(session, [_locked(session, campaign)])
+    chosen = [_of(rows, campaign, label) for label in labels] if labels else rows
+    if not chosen:
+        raise NotFound(f"nothing is planned of {campaign}; 'sms acquire plan {campaign} --next' plans all")
+    return [one.label for one in chosen if change(one)]
+
+
+def _next_label(session: Session, campaign: str) -> list[str]:
+    left = [one.label for one in planned(session, [_locked(session, campaign)]) if one.is_open]
+    if not left:
+        raise NotFound(f"nothing is left to record by the plan of {campaign}; see 'sms acquire plan show'")
+    return left[:1]
+
+
+def _of(rows: Sequence[Planned], campaign: str, label: str) -> Planned:
+    found = next((one for one in rows if one.label == label), None)
+    if found is None:
+        names = ", ".join(one.label for one in rows) or "none"
+        raise NotFound(f"nothing is planned of {campaign}/{label}; planned are {names}")
+    return found
+
+
+def _locked(session: Session, campaign: str) -> int:
+    """Return the number of a campaign, whose plan nobody else changes until this transaction has ended."""
+    number = campaign_id(session, campaign)
+    session.execute(select(CampaignRow.id).where(CampaignRow.id == number).with_for_update(key_share=True))
+    return number
+
+
+def _change(row: PlannedRecordingRow, **values: object) -> None:
+    for name, value in values.items():
+        setattr(row, name, value)

@@ -1,0 +1,144 @@
+"""Streams of frames among the jobs of a campaign: which comes next, what it takes, and what came of one."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.errors import InvalidInput
+from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL
+from sms_jobs.instruments.streaming import PART_OF_MEMORY
+from sms_jobs.jobs.archiving.importing import measured_tuples
+from sms_jobs.jobs.recording.recordings import PairVerdict
+from sms_jobs.kinds.recording.stream import KIND, StreamParameters, require_exposures
+from sms_jobs.records.shown.streams import StreamedCamera, StreamOutcome, StreamRehearsal
+from sms_jobs.records.streams import stream_of
+from sms_jobs.records.subject import Subject
+
+if TYPE_CHECKING:
+    from sms_jobs.records.optical_instruments import RigFile
+
+_BEFORE = "_before"
+"""At the end of the statistic that tells what a channel read, as of any recording."""
+
+
+def next_number(session: Session, campaign: str) -> int:
+    """Return the number of the next stream of a campaign: of no job yet, and of no state that is recorded."""
+    row = campaign_row(session, campaign)
+    given = session.scalars(
+        select(JobRow.parameters).where(JobRow.campaign_id == row.id, JobRow.kind == KIND.name)
+    )
+    recorded = (stream_of(label) for label, _ in measured_tuples(session, definition(row)))
+    return 1 + max([*(int(parameters["number"]) for parameters in given), *recorded], default=0)
+
+
+def rehearse(
+    rig: RigFile,
+    cameras: Sequence[str],
+    parameters: StreamParameters,
+    spool: Path,
+    archive_room: int,
+    memory_limit_mb: float,
+) -> StreamRehearsal:
+    """Return what a stream would take on this host; nothing is asked of any instrument.
+
+    Parameters
+    ----------
+    spool
+        Folder whose disk is to hold the frames.
+    archive_room
+        What is free on the archive's disk, in bytes.
+    memory_limit_mb
+        What a job may take of memory; 0 for no limit.
+    """
+    size = parameters.size
+    raw = {c.name: BYTES_A_PIXEL * c.rows * c.columns for c in rig.cameras if c.name in cameras}
+    each = sum(raw.values())
+    states = -(-size.frames // parameters.every)
+    ring, memory = size.ring_frames * each, int(PART_OF_MEMORY * psutil.virtual_memory().available)
+    if memory_limit_mb:
+        memory = min(memory, int(1e6 * memory_limit_mb))
+    # The image of a state lies in its file as texture and as frame.
+    needs = size.most_frames * each, (size.frames + states) * each
+    there = next(folder for folder in (spool, *spool.parents) if folder.is_dir())
+    free = shutil.disk_usage(there).free
+    found = StreamRehearsal(
+        cameras=tuple(cameras),
+        frames=size.frames,
+        states=states,
+        seconds=size.kept_s,
+        ring_bytes=ring,
+        memory_room=memory,
+        spool_bytes=needs[0],
+        spool_room=free,
+        archived_bytes=needs[1],
+        archive_room=archive_room,
+        missing=tuple(_missing(rig, cameras, parameters)),
+    )
+    return _with_lacking_room(found)
+
+
+def _missing(rig: RigFile, cameras: Sequence[str], parameters: StreamParameters) -> Iterator[str]:
+    known = [camera.name for camera in rig.cameras]
+    for name in cameras:
+        if name not in known:
+            yield f"the file of rig {rig.name} has no {name}; it has {', '.join(known) or 'none'}"
+    try:
+        require_exposures(rig, cameras, parameters)
+    except InvalidInput as error:
+        yield str(error)
+
+
+def _with_lacking_room(found: StreamRehearsal) -> StreamRehearsal:
+    needed = (
+        ("memory", found.ring_bytes, found.memory_room, "keep less before the event, or take fewer frames"),
+        ("the spool's disk", found.spool_bytes, found.spool_room, "free some space"),
+        ("the archive's disk", found.archived_bytes, found.archive_room, "free some space"),
+    )
+    lacking = [
+        f"{where} has {room / 1e6:.0f} MB for it, and {needs / 1e6:.0f} MB are needed: {what}"
+        for where, needs, room, what in needed
+        if needs > room
+    ]
+    return replace(found, missing=(*found.missing, *lacking))
+
+
+def outcome(verdicts: Sequence[PairVerdict]) -> StreamOutcome:
+    """Return what came of a stream, from what is known of the images of its states, in their order."""
+    if not verdicts:
+        return StreamOutcome()
+    subjects = [Subject.parse(one.subject) for one in verdicts]
+    by_camera: dict[str, list[Mapping[str, float]]] = {}
+    for subject, one in zip(subjects, verdicts, strict=True):
+        by_camera.setdefault(subject.view or "", []).append(one.statistics)
+    of_first = next(iter(by_camera.values()))
+    times = [one["since_start_s"] for one in of_first]
+    names = dict.fromkeys(n.removesuffix(_BEFORE) for one in of_first for n in one if n.endswith(_BEFORE))
+    values = {name: [one[name + _BEFORE] for one in of_first if name + _BEFORE in one] for name in names}
+    return StreamOutcome(
+        subjects[0].state or "",
+        subjects[-1].state or "",
+        {name: _of_camera(of_states) for name, of_states in by_camera.items()},
+        any(of_states[0]["stream_broke_off"] for of_states in by_camera.values()),
+        (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None,
+        {name: (min(read), max(read)) for name, read in values.items()},
+        {name: len(times) - len(read) for name, read in values.items() if len(read) < len(times)},
+    )
+
+
+def _of_camera(of_states: Sequence[Mapping[str, float]]) -> StreamedCamera:
+    account = {
+        name: int(of_states[0][f"stream_{name}"]) for name in ("moments", "whole", "late", "lost", "refused")
+    }
+    return StreamedCamera(
+        **account, states=len(of_states), doubted=sum(bool(one["doubts"]) for one in of_states)
+    )

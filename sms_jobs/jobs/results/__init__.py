@@ -1,0 +1,1 @@
+"""Decides which earlier results still hold: reused, replaced, or stale."""

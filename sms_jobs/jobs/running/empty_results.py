@@ -1,0 +1,69 @@
+"""Jobs that have succeeded and found nothing: their results have no valid value, and say why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import Select, and_, func, select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue import search
+from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
+from sms_jobs.jobs.planning.chosen import Chosen
+from sms_jobs.records.job import JobState
+from sms_jobs.records.reasons import LOST_TO
+
+_VALID = "valid_fraction_of_image"
+_MOST_TOLD = 2  # reasons
+_LEAST_TOLD = 0.01  # of the pixels
+
+
+@dataclass(frozen=True)
+class EmptyResults:
+    """The results of some jobs in which nothing is valid: how many, and what is said of the latest."""
+
+    count: int = 0
+    latest: str = ""
+
+
+def empty_results(session: Session, some: Chosen, began: datetime) -> EmptyResults:
+    """Return which of some jobs have succeeded without a valid value.
+
+    Where those that had ended before are not meant, it is those that have ended since `began`.
+    """
+    found = _empty().where(*some.where)
+    if some.ended_before:
+        found = found.where(JobRow.finished_at >= began)
+    count = session.scalar(select(func.count()).select_from(found.subquery())) or 0
+    if not count:
+        return EmptyResults()
+    latest = session.execute(found.order_by(FileRow.id.desc()).limit(1)).one()
+    return EmptyResults(count, f"{latest.kind} {latest.subject}: {why_nothing(session, latest.file_id)}")
+
+
+def said_of(session: Session, job: JobRow) -> list[str]:
+    """Return what is to be said of a job whose result has no valid value; nothing of any other."""
+    found = session.execute(_empty().where(JobRow.id == job.id)).all()
+    return [why_nothing(session, one.file_id) for one in found]
+
+
+def why_nothing(session: Session, file_id: int) -> str:
+    """Say by which reasons a file has no valid value."""
+    statistics = search.statistics(session, file_id)
+    lost = {n.removeprefix(LOST_TO): v for n, v in statistics.items() if n.startswith(LOST_TO)}
+    worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]
+    told = " and ".join(f"{lost[name]:.0%} by {name.replace('_', ' ')}" for name in worst)
+    return f"nothing valid: of the lit pixels are lost {told}" if told else "nothing valid"
+
+
+def _empty() -> Select[str, str, int]:
+    """Select jobs that have succeeded, with each file of theirs in which nothing is valid."""
+    made_by = func.coalesce(JobRow.reused_from, JobRow.id)
+    without = and_(StatisticRow.file_id == FileRow.id, StatisticRow.name == _VALID, StatisticRow.value == 0.0)
+    return (
+        select(JobRow.kind, JobRow.subject, FileRow.id.label("file_id"))
+        .join(FileRow, FileRow.job_id == made_by)
+        .join(StatisticRow, without)
+        .where(JobRow.state == JobState.SUCCEEDED)
+    )

@@ -1,0 +1,1 @@
+"""Submits jobs at their times."""

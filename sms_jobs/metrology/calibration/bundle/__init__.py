@@ -1,0 +1,1 @@
+"""Bundle adjustment in object space over all sensors, poses and artefacts."""

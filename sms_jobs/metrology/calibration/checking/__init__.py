@@ -1,0 +1,1 @@
+"""Whether a calibration still holds, and what changed between two."""

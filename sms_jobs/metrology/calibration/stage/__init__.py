@@ -1,0 +1,1 @@
+"""Calibration of a pan-tilt stage."""

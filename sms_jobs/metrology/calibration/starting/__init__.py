@@ -1,0 +1,1 @@
+"""First values of sensors and poses, before they are adjusted."""

@@ -1,0 +1,1 @@
+"""Lines where displacement jumps, and by how much."""

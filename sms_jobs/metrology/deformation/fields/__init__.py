@@ -1,0 +1,1 @@
+"""Displacement at every pixel, and what is made of it."""

@@ -1,0 +1,399 @@
+"""Dense displacement: image displacement at every pixel, then the shift of its point in space.
+
+Thesis section 4.4. The end point of a pixel is looked up in the deformed state's cloud inside one region
+only, and the reference state's point is taken from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
+from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
+from sms_jobs.metrology.deformation.matching.shape_functions import WARP
+from sms_jobs.metrology.images.interpolation import interpolate_in_region
+from sms_jobs.metrology.images.masks import box_of
+
+Floats: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int32]
+Ints: TypeAlias = NDArray[np.int64]
+
+OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
+"""Why a pixel has no displacement; 0 where it has one."""
+
+_BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
+"""By the numbers of a warp: the distance over which matches are blended, in subset radii, and the variance of
+blended matches over that of one (by quadrature): see `blend_matches`."""
+
+
+_HALF_DISC = 0.29
+"""Mean distance of the matches about a pixel from it, in radii of blending, if they fill half a disc."""
+_CARRIED, _CHANCE = 0.25, 5.0
+"""By trial at borders: the part of such matches' scatter that noise alone makes an error, and that scatter in
+variances of the blend."""
+
+
+@dataclass(frozen=True)
+class ImagePoints:
+    """Matched points: `x`, `y` (n,) in px, `region` (n,), and their displacement.
+
+    Attributes
+    ----------
+    warp
+        (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy, in px; or (n, 12), with the second derivatives.
+    sigma
+        (n, 2), standard deviations of u and v, in px.
+    """
+
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    region: NDArray[np.int32]
+    warp: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class StateShape:
+    """Where the surface of a state lies.
+
+    Attributes
+    ----------
+    position
+        (3, rows, columns) in mm.
+    covariance
+        (6, rows, columns) in mm^2, of each pixel by itself.
+    labels
+        (rows, columns), regions; 0 for none.
+    independent
+        (6, rows, columns) in mm^2: what of the covariance a mean over pixels makes less; None for all.
+    """
+
+    position: Floats
+    covariance: NDArray[np.floating]
+    labels: NDArray[np.int32]
+    independent: NDArray[np.floating] | None = None
+
+    @property
+    def averaged(self) -> NDArray[np.floating]:
+        """What goes into the covariance of a mean, (6, rows, columns) in mm^2."""
+        return self.covariance if self.independent is None else self.independent
+
+
+@dataclass(frozen=True)
+class DenseDisplacement:
+    """A displacement at every pixel.
+
+    Attributes
+    ----------
+    displacement
+        (3, rows, columns) in mm.
+    covariance
+        (6, rows, columns) in mm^2, packed XX, XY, XZ, YY, YZ, ZZ.
+    image_displacement
+        (2, rows, columns): u and v in px.
+    bias
+        (6, rows, columns) in mm^2: the part of the covariance that comes of the bias of the match.
+    status
+        (rows, columns): 0 or why there is no value; then all of the above are NaN.
+    """
+
+    displacement: Floats
+    covariance: Floats
+    image_displacement: Floats
+    bias: Floats
+    status: NDArray[np.int32]
+
+
+@summing_kernel
+def _weighted_sums(
+    near: Floats, count: int, pixel: tuple[int, int, int], place: tuple[float, float, float],
+    scale: tuple[float, float], sums: Floats,
+) -> None:  # fmt: skip
+    """Fill the weighted sums over the matches near a pixel: of 1, dx, dy, u, v, u^2, v^2 and both variances.
+
+    `pixel` is its column, row and region, `place` where it lies in space, `scale` one over the square of a
+    pixel's size there and half of one over that of the reach in px. Each match is a column of `near`, as
+    `_gather` fills it, and each sum a local number: only then are several matches added at a time. Those
+    beyond reach and of other regions weigh nothing.
+    """
+    per_footprint, per_reach = scale
+    column, row, label = float(pixel[0]), float(pixel[1]), float(pixel[2])
+    x, y, z = place
+    total, off_x, off_y, u_sum, v_sum = 0.0, 0.0, 0.0, 0.0, 0.0
+    u_squares, v_squares, u_noise, v_noise = 0.0, 0.0, 0.0, 0.0
+    for m in range(count):
+        dx = column - near[0, m]
+        dy = row - near[1, m]
+        ax, ay, az = near[2, m] - x, near[3, m] - y, near[4, m] - z
+        d2 = per_reach * (dx * dx + dy * dy + per_footprint * (ax * ax + ay * ay + az * az))
+        weight = (1.0 - d2) * (1.0 - d2) * near[5, m]
+        # Written so that NaN is beyond reach.
+        w = weight if (d2 < 1.0) & (near[6, m] == label) else 0.0
+        xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+        u = near[9, m] + near[10, m] * dx + near[11, m] * dy
+        v = near[12, m] + near[13, m] * dx + near[14, m] * dy
+        u += near[15, m] * xx + near[16, m] * xy + near[17, m] * yy
+        v += near[18, m] * xx + near[19, m] * xy + near[20, m] * yy
+        total += w
+        off_x += w * dx
+        off_y += w * dy
+        u_sum += w * u
+        v_sum += w * v
+        u_squares += w * u * u
+        v_squares += w * v * v
+        u_noise += w * near[7, m]
+        v_noise += w * near[8, m]
+    sums[0], sums[1], sums[2], sums[3], sums[4] = total, off_x, off_y, u_sum, v_sum
+    sums[5], sums[6], sums[7], sums[8] = u_squares, v_squares, u_noise, v_noise
+
+
+@kernel
+def _gather(matches: Floats, first: Ints, row: int, column: int, cells: int, near: Floats) -> int:
+    """Copy the matches in cells about one to the first columns of `near`; return how many they are.
+
+    Or, where `near` is too small, only that.
+    """
+    left, right = max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)
+    top, bottom = max(row - cells, 0), min(row + cells + 1, first.shape[0])
+    count = 0
+    for j in range(top, bottom):
+        count += first[j, right] - first[j, left]
+    if count > near.shape[1]:
+        return count
+    for i in range(len(matches)):
+        at = 0
+        for j in range(top, bottom):
+            for m in range(first[j, left], first[j, right]):
+                near[i, at] = matches[i, m]
+                at += 1
+    return count
+
+
+@kernel
+def _blend_rows(
+    start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
+    matches: Floats, reach: float, noise: float, value: Floats, variance: Floats,
+) -> None:  # fmt: skip
+    """Do the work of `blend_matches` for rows start .. stop.
+
+    Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
+    `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
+    region, both variances, and 12 numbers of its warp.
+    """
+    cells = int(np.ceil(reach / side))
+    scale = (1.0 / footprint**2, 0.5 / reach**2)
+    near = np.empty((len(matches), 256))
+    sums = np.empty(9)
+    for row in range(start // side, (stop - 1) // side + 1):
+        for column in range(first.shape[1] - 1):
+            count = -1
+            for r in range(max(row * side, start), min((row + 1) * side, stop)):
+                for c in range(column * side, min((column + 1) * side, labels.shape[1])):
+                    value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
+                    if labels[r, c] == 0:
+                        continue
+                    if count < 0:
+                        count = _gather(matches, first, row, column, cells, near)
+                        if count > near.shape[1]:
+                            near = np.empty((len(matches), 2 * count))
+                            count = _gather(matches, first, row, column, cells, near)
+                    place = (xyz[0, r, c], xyz[1, r, c], xyz[2, r, c])
+                    _weighted_sums(near, count, (c, r, labels[r, c]), place, scale, sums)
+                    total = sums[0]
+                    if not total > 0.0:
+                        continue
+                    one_sided = (sums[1] ** 2 + sums[2] ** 2) / (total * reach * _HALF_DISC) ** 2
+                    for a in range(2):
+                        mean = sums[3 + a] / total
+                        own = noise * sums[7 + a] / total
+                        scatter = max(sums[5 + a] / total - mean * mean, 0.0)
+                        value[a, r, c] = mean
+                        variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
+
+
+def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
+    """Return a quantile of the distances in mm between neighbouring points of a region; 1 without any."""
+    steps = []
+    for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
+        together = (labels[first] == labels[second]) & (labels[first] > 0)
+        steps.append(
+            np.linalg.norm(xyz[(slice(None), *first)] - xyz[(slice(None), *second)], axis=0)[together]
+        )
+    every = np.concatenate(steps)
+    return float(np.quantile(every, quantile)) if len(every) else 1.0
+
+
+def blending_reach(subset_radius: int, numbers: int) -> float:
+    """Return the distance in px over which matches are blended whose warps have 6 or 12 numbers."""
+    return _BLEND[numbers][0] * subset_radius
+
+
+def blend_matches(
+    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
+) -> tuple[Floats, Floats]:
+    """Spread the image displacement from matched points to every pixel of their regions.
+
+    Parameters
+    ----------
+    points
+        Matches to trust.
+    xyz
+        (3, rows, columns) in mm, positions at the reference state.
+    labels
+        (rows, columns), regions of the reference state.
+    subset_radius
+        Of the matches, in px.
+    threads
+        How many threads to use.
+
+    Returns
+    -------
+    value, variance
+        (2, rows, columns): u and v in px and their variances in px^2; NaN where no match of the pixel's
+        region is within reach.
+
+    Notes
+    -----
+    Thesis Eq. (3.21) with weights from image and 3D distance (and the matches' own variance), but each
+    match stands for the plane of its own value and gradient instead of a plane through three values: the
+    result is exact for affine displacement up to the region's edge and beyond its outermost match.
+
+    A first-order subset of radius r overestimates a displacement of curvature k by k r^2 / 6; carrying it
+    by its gradient over a distance d underestimates by k d^2 / 2. With the weight (1 - d^2 / reach^2)^2
+    the mean of d^2 along an axis is reach^2 / 8, so that both cancel at reach = r sqrt(8 / 3). Those of
+    second order know the curvature; of them the same holds for the fourth derivatives at 1.48 r.
+
+    Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
+    the gradients it comes to 1.39 times the mean variance, to 0.81 times that of subsets of second order.
+
+    Where all matches lie to one side, nothing cancels: by how much they differ about the pixel, beyond what
+    noise makes them differ, is added to the variance, in full where they fill half a disc, less where their
+    middle is nearer.
+    """
+    rows, columns = labels.shape
+    noise = _BLEND[points.warp.shape[1]][1]
+    reach = blending_reach(subset_radius, points.warp.shape[1])
+    side = max(1, int(reach / 4))
+    shape = (-(-rows // side), -(-columns // side))
+    cell = (points.y // side) * (shape[1] + 1) + points.x // side
+    order = np.argsort(cell, kind="stable")
+    edges = np.arange(shape[0] * (shape[1] + 1))
+    first = np.searchsorted(cell[order], edges).reshape(shape[0], shape[1] + 1)
+    value = np.empty((2, rows, columns))
+    variance = np.empty((2, rows, columns))
+    footprint = pixel_pitch(xyz, labels, 0.5)
+    x, y = points.x[order], points.y[order]
+    own_variance = (np.maximum(points.sigma[order], 1e-6) ** 2).T
+    warp = np.zeros((WARP, len(order)))
+    warp[: points.warp.shape[1]] = points.warp[order].T
+    at = xyz[:, y, x]
+    matches = np.concatenate(
+        [[x, y], at, [1.0 / own_variance.sum(axis=0), points.region[order]], own_variance, warp]
+    )
+
+    def work(start: int, stop: int) -> None:
+        _blend_rows(start, stop, xyz, labels, footprint, side, first, matches, reach, noise, value, variance)
+
+    in_row_blocks(work, rows, threads)
+    return value, variance
+
+
+def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which pixels are within two of another region: they may see either, whichever has got them."""
+    import cv2
+
+    if not labels.size:  # nothing was measured, and OpenCV takes no empty image
+        return np.zeros(labels.shape, dtype=bool)
+    square, values = np.ones((5, 5), np.uint8), labels.astype(np.float32)
+    low = cv2.erode(np.where(values > 0.0, values, np.float32(np.inf)), square)
+    return np.asarray((labels > 0) & ((low != values) | (cv2.dilate(values, square) != values)))
+
+
+def displacement_field(
+    image: Floats,
+    variance: Floats,
+    bias: Floats,
+    reference: StateShape,
+    deformed: StateShape,
+    interior: NDArray[np.bool_],
+    averaging_radius: float,
+    threads: int = 1,
+) -> DenseDisplacement:
+    """Return the displacement of the material point seen by every pixel of the reference image.
+
+    Parameters
+    ----------
+    image, variance, bias
+        (2, rows, columns): u and v in px at each pixel, NaN where there is none (changed in place), their
+        variances by noise in px^2, and those that are no noise.
+    reference, deformed
+        The surface at each state.
+    interior
+        (rows, columns): pixels of the reference far enough from their region's edge to see nothing else.
+    averaging_radius
+        Within which the displacement is averaged, in px: see `average_in_region`. 0 where the errors of the
+        positions go together over more than that, and an average would gain nothing.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Notes
+    -----
+    Thesis section 4.4.1. The noise of shape is independent from pixel to pixel while the match is already
+    an average over its subset; averaging the displacement over less than a subset therefore costs no
+    resolution. The covariance is that of both positions, averaged, plus that of the match, which is not,
+    carried through the deformed surface's slope along the image.
+    """
+    rows, columns = reference.labels.shape
+    part = box_of(reference.labels > 0)
+    xyz, labels = reference.position[:, *part], np.ascontiguousarray(reference.labels[part])
+    image_part, variance, bias = image[:, *part], variance[:, *part], bias[:, *part]
+    y, x = np.mgrid[part]
+    end_x, end_y = x + image_part[0], y + image_part[1]
+    end, _, slope = interpolate_in_region(
+        deformed.position, deformed.covariance[:0], deformed.labels, end_x, end_y, threads
+    )
+    status = np.zeros(labels.shape, dtype=np.int32)
+    status[np.isnan(end[0])] = NO_SHAPE_AT_END
+    inside = (end_x >= 0) & (end_y >= 0) & (end_x <= columns - 1) & (end_y <= rows - 1)
+    status[~inside] = LEFT_IMAGE
+    status[np.isnan(image_part[0])] = NO_MATCH_NEAR
+    status[labels == 0] = OUTSIDE_REGION
+    # Interpolated noise is smaller but shared by neighbours: in an average it counts as the cloud's own.
+    row, column = (np.where(inside, np.rint(np.where(inside, e, 0.0)), 0).astype(int) for e in (end_y, end_x))
+    total = reference.covariance[:, *part] + deformed.covariance[:, row, column]
+    moved, spread = end - xyz, total
+    status[(status == 0) & (np.isnan(total[0]) & (averaging_radius == 0.0))] = NO_SHAPE_AT_END
+    if averaging_radius > 0.0:
+        independent = reference.averaged[:, *part] + deformed.averaged[:, row, column]
+        moved, spread = average_in_region(
+            moved, total, labels, interior[part] & (status == 0), averaging_radius, threads, independent
+        )
+    apart = np.sum((end - xyz - moved) ** 2, axis=0)
+    # Its own end point lies on another surface, or where two mix.
+    stray = apart > OUTLIER**2 * (total[0] + total[3] + total[5])
+    status[(status == 0) & (stray | np.isnan(moved[0]))] = NO_SHAPE_AT_END
+    status[(status == 0) & _between_regions(labels)] = OUTSIDE_REGION
+    biased = np.zeros_like(spread)
+    for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        for axis in range(2):
+            along = slope[i, axis] * slope[j, axis]
+            biased[packed] += along * bias[axis]
+            spread[packed] += along * (variance[axis] + bias[axis])
+    for field in (moved, spread, biased, image_part):
+        field[:, status != 0] = np.nan
+    everywhere = np.full((rows, columns), OUTSIDE_REGION, dtype=np.int32)
+    everywhere[part] = status
+    image[:, everywhere != 0] = np.nan
+    moved, spread, biased = (_in_whole(field, part, (rows, columns)) for field in (moved, spread, biased))
+    return DenseDisplacement(moved, spread, image, biased, everywhere)
+
+
+def _in_whole(field: Floats, part: tuple[slice, slice], shape: tuple[int, int]) -> Floats:
+    """Return a field (.., rows, columns) of a part of an image over the whole of it, NaN beyond."""
+    whole = np.full((*field.shape[:-2], *shape), np.nan, dtype=field.dtype)
+    whole[..., *part] = field
+    return whole

@@ -1,0 +1,1 @@
+"""Several views and cameras brought together into one surface."""

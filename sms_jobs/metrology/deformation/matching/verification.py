@@ -1,0 +1,414 @@
+"""What two images say of a displacement that is told for every pixel: by how much it may be off, and where.
+
+A displacement is laid on the images, and what they do not share is looked at in windows smaller than the
+subsets that it comes from. Where the windows ask for another displacement by more than noise does, the
+subsets could not follow: the surface bends, cracks or hides behind something within one of them. Where the
+images differ by more than a displacement can mend, they do not show the same thing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.deformation.matching.correlation import Noise, PreparedImages
+from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
+from sms_jobs.metrology.images.masks import box_of, narrowed
+from sms_jobs.metrology.images.smoothing import (
+    noise_after_smoothing,
+    noise_in_windows,
+    noise_of_differences,
+    noise_of_pixels,
+)
+from sms_jobs.metrology.images.spline import KERNEL_CODE, PADDING, spline_values
+
+Floats: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+
+_WINDOW = 0.3  # radius of the windows, in subset radii: a tenth of a subset's pixels
+_SCALES = (4.0, 1.0, 0.5)  # half the sides of squares over which windows are averaged, in subset radii
+_ASKED_FOR = 3.0  # standard errors from which on a mean over windows is no chance
+_ALONE = 4.0  # and standard deviations from which on one window is none
+_AT_MOST = 2.0  # standard errors by which the mean of a smaller square bounds that of a larger one
+_DISAGREE = 3.0  # variance left over, in units of the noise or, where that is more, of the median of all
+_FINE = 0.4  # radius of means that are taken off what is coarse, in subset radii
+_FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
+_RIM = 3  # px at an image's border: its spline, bent by reflection, is off by 0.01 px there
+_OTHER = 8.0  # median deviations from which on a pixel shows something else
+_LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
+_OTHERS = 0.25  # of a window's pixels that may show something else
+_LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
+_LEAST_VARIANCE = 1e-12  # grey levels squared, of images that are told to have no noise
+_UNLIKE = 0.36  # of a window's texture that only one image has: a correlation of 0.8
+_LEFT_BY_FIT = {0: 1.0, 1: 0.6, 2: 0.45}
+"""By the order of subsets, the part of a window's noise that the displacement has not followed; by trial."""
+_DEPENDENT = 0.7  # of a window's pixels: neighbours that count as one; by trial
+_WHOLE_BIAS = 1.25
+"""Variance of the bias over that of what windows see: they are too large for all of it; by trial, on waves of
+one to four subset widths."""
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What the images say of a displacement.
+
+    Attributes
+    ----------
+    bias
+        (2, rows, columns), variance of u and v in px^2 beyond that of noise; 0 where nothing speaks for any.
+    agrees
+        (rows, columns): whether the images show the same thing there, as far as anybody can tell.
+    unlike
+        (rows, columns), of those that do not: whether hardly anything is the same, though most else is.
+    """
+
+    bias: Floats
+    agrees: Mask
+    unlike: Mask
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """In px: radius of subsets, of windows, of means that are coarse, and of squares of windows."""
+
+    subset: int
+    window: int
+    coarse: int
+    squares: tuple[int, ...]
+
+    @classmethod
+    def of(cls, radius: int) -> _Sizes:
+        """Return what goes with subsets of a radius."""
+        window = max(2, round(_WINDOW * radius))
+        squares = tuple(max(window, round(scale * radius)) for scale in _SCALES)
+        return cls(radius, window, max(2, round(_FINE * radius)), squares)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Factors on the noise that is told: of a pixel's variance, of what windows see, and of differences.
+
+    `left_by_fit` is the part of the windows' that the displacement has not followed; at the image's border,
+    where it is carried, it has followed none.
+    """
+
+    pixel: float
+    window: float
+    rough: float
+    left_by_fit: float
+
+
+@kernel
+def _carry(top: int, left: int, coefficients: Floats, code: int, image: Floats, carried: Floats) -> None:
+    """Fill a part of the deformed image where the displacement leads to, NaN for and at the images' borders.
+
+    The part's first pixel is (`top`, `left`) of the reference image.
+    """
+    rows, columns = image.shape[1:]
+    stride = coefficients.shape[1]
+    last_column, last_row = stride - 2 * PADDING - 1, coefficients.shape[0] - 2 * PADDING - 1
+    first = np.empty(columns, dtype=np.int64)
+    s, t, values = np.empty(columns), np.empty(columns), np.empty(columns)
+    where = np.empty(columns, dtype=np.int64)
+    for r in range(rows):
+        count = 0
+        carried[r] = np.nan
+        if top + r < _RIM or top + r > last_row - _RIM:
+            continue
+        for c in range(max(_RIM - left, 0), min(last_column + 1 - _RIM - left, columns)):
+            x, y = left + c + image[0, r, c], top + r + image[1, r, c]
+            if not (x >= _RIM and y >= _RIM and x <= last_column - _RIM and y <= last_row - _RIM):
+                continue
+            column, row = np.int64(x + PADDING), np.int64(y + PADDING)
+            s[count] = x + PADDING - column
+            t[count] = y + PADDING - row
+            first[count] = (row - 2) * stride + column - 2
+            where[count] = c
+            count += 1
+        spline_values(coefficients, code, count, first, s, t, values)
+        for k in range(count):
+            carried[r, where[k]] = values[k]
+
+
+@kernel
+def _see_as_deformed(
+    image: Floats, gradient_x: Floats, gradient_y: Floats, blur: float, seen: Floats
+) -> None:
+    """Blur or sharpen the reference image's grey levels `seen` as a displacement's slopes tell."""
+    rows, columns = seen.shape
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            ux, uy = image[0, r, c + 1] - image[0, r, c - 1], image[0, r + 1, c] - image[0, r - 1, c]
+            vx, vy = image[1, r, c + 1] - image[1, r, c - 1], image[1, r + 1, c] - image[1, r - 1, c]
+            if np.isfinite(ux + uy + vx + vy):
+                tensor = blur_tensor(0.5 * ux, 0.5 * uy, 0.5 * vx, 0.5 * vy)
+                seen[r, c] += blur * blurred_more(gradient_x, gradient_y, r, c, tensor)
+
+
+def _means(values: Floats, radius: int) -> Floats:
+    """Return the means over squares of 2 radius + 1 pixels, of what is 0 beyond the border."""
+    import cv2
+
+    size = (2 * radius + 1, 2 * radius + 1)
+    return np.asarray(cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_CONSTANT))
+
+
+def _left_over(
+    f: Floats, g: Floats, known: Mask, trusted: Mask, radius: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return f - b g and the gain b as zero-normalised matching has them in a subset, and f less its mean.
+
+    Means and gain are those of the `trusted` pixels: one that shows something else is no light.
+    """
+    weight = np.maximum(_means(trusted.astype(np.float64), radius), 1e-12)
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(_means(np.where(trusted, values, 0.0), radius) / weight)
+
+    f_mean, g_mean = mean(f), mean(g)
+    gg = mean(g * g) - g_mean**2
+    gain = np.where(gg > 0.0, (mean(f * g) - f_mean * g_mean) / np.where(gg > 0.0, gg, 1.0), 0.0)
+    return np.where(known, f - f_mean - gain * (g - g_mean), 0.0), gain, np.where(known, f - f_mean, 0.0)
+
+
+def _mean_square(asked: Floats, spread: Floats, known: Mask, inner: Mask, sizes: _Sizes) -> Floats:
+    """Return the mean square of what windows ask for, (rows, columns) in px^2, beyond the variance by noise.
+
+    Windows count by what they know. A mean over a square counts where it is significant; that over a larger
+    square does so too, as far as the smaller ones leave room for it. What is not `inner` is judged by its
+    smallest square alone, and judges nothing else: there matches are carried to the image's border.
+    """
+    usable = known & np.isfinite(asked) & (spread > 0.0) & (np.abs(asked) < _FAR)
+    asked, noise = np.where(usable, asked, 0.0), np.where(usable, spread, 1.0)
+    typical = float(np.median(noise[usable])) if usable.any() else 1.0
+    # Running sums do not bear weights of very different sizes.
+    weight = np.where(usable, typical / (noise + typical), 0.0) ** 2
+    found = np.zeros(asked.shape)
+    for scale in sizes.squares:
+        found = _bounded(found, asked, noise, np.where(inner, weight, 0.0), scale, sizes.window)
+    at_border = _bounded(found, asked, noise, weight, sizes.squares[-1], sizes.window)
+    found = np.where(inner, found, at_border)
+    alone = usable & (asked**2 > _ALONE**2 * noise)
+    return np.maximum(found, np.where(alone, asked**2, 0.0))
+
+
+def _bounded(found: Floats, asked: Floats, noise: Floats, weight: Floats, scale: int, window: int) -> Floats:
+    """Return the mean square over squares, or `found` as far as it has room, where that is no chance."""
+    total = np.maximum(_means(weight, scale), 1e-9)
+    mean = _means(weight * (asked**2 - noise), scale) / total
+    independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * window + 1) ** 2)
+    chance = np.maximum(_means((weight * noise) ** 2, scale), 0.0)
+    error = np.sqrt(2.0 * chance / independent) / total
+    bound = np.minimum(found, np.maximum(mean, 0.0) + _AT_MOST * error)
+    return np.maximum(bound, np.where(mean > _ASKED_FOR * error, mean, 0.0))
+
+
+def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> Floats:
+    """Return by how much more than noise residuals scatter from pixel to pixel, at least 1.
+
+    In the mixed fourth difference, in which what differs over some pixels hardly shows.
+    """
+    rough = np.zeros_like(residual)
+    rows = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
+    rough[1:-1, 1:-1] = rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:]
+    inner = narrowed(known, 3, border_ends=True)
+    squares = np.where(inner, rough**2 / variance, 0.0)
+    share = _means(inner.astype(np.float64), radius)
+    everywhere = float(np.mean(squares[inner])) if inner.any() else 1.0
+    enough = share > _LEAST_SHARE
+    return np.maximum(
+        np.where(enough, _means(squares, radius) / np.where(enough, share, 1.0), everywhere), 1.0
+    )
+
+
+def verify_displacement(
+    images: PreparedImages,
+    image: Floats,
+    radius: int,
+    order: int,
+    smoothing_px: float,
+    threads: int = 1,
+) -> Verified:
+    """Compare the images along a displacement that subsets have measured.
+
+    Parameters
+    ----------
+    images
+        The two images, with the noise that `match_points` is told.
+    image
+        (2, rows, columns): u and v in px, NaN where there is none.
+    radius, order
+        Of the subsets: half their side in px, and the order of their deformation.
+    smoothing_px
+        Standard deviation of the filter that both images have passed.
+    threads
+        How many threads to use; the result does not depend on it.
+
+    Notes
+    -----
+    In every window of a tenth of a subset's pixels the residual r = f - b g(x + u) asks for the displacement
+    d = (sum J J^T)^-1 sum J r (a Gauss-Newton step). The variance of d by noise is known; what the square of
+    d has more is bias: of the shape function, of blending, of what only one image shows. It is averaged over
+    neighbouring windows as far as its own significance allows. The sum of r^2 over a window, in units of the
+    noise, tells where the images differ: more than three times what noise or, where the noise is not well
+    known, the median window has.
+    """
+    known = np.asarray(np.isfinite(image).all(axis=0))
+    sizes = _Sizes.of(radius)
+    noise = _factors(images, known, smoothing_px, sizes.window, _LEFT_BY_FIT[order])
+    inner = np.zeros_like(known)
+    inner[RIM:-RIM, RIM:-RIM] = True
+    bias = np.zeros(image.shape)
+    misfit = np.full(known.shape, np.nan, dtype=np.float32)
+    halo = max(sizes.squares) + sizes.window + radius
+    rows, columns = box_of(known)
+
+    def work(start: int, stop: int) -> None:
+        start, stop = max(start, rows.start), min(stop, rows.stop)
+        if not start < stop:
+            return
+        top, bottom = max(start - halo, rows.start), min(stop + halo, rows.stop)
+        square, left_over = _in_part(images, image, inner, (slice(top, bottom), columns), sizes, noise)
+        own = np.s_[start - top : stop - top]
+        bias[:, start:stop, columns] = _WHOLE_BIAS * square[:, own]
+        misfit[start:stop, columns] = left_over[own]
+
+    in_row_blocks(work, len(known), threads, block=256)
+    misfit[~inner] = np.nan
+    judged = np.abs(misfit[~np.isnan(misfit)])
+    usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
+    bias[:, ~known] = 0.0
+    with np.errstate(invalid="ignore"):
+        agrees = ~(misfit > _DISAGREE * min(usual, 1e6))
+    # The outermost windows reach over from pixels that are alike.
+    unlike = narrowed(np.isposinf(misfit), 3) & (usual <= _DISAGREE)
+    return Verified(bias, agrees, unlike)
+
+
+def _factors(
+    images: PreparedImages, known: Mask, smoothing_px: float, window: int, left_by_fit: float
+) -> _Noise:
+    """Return what of the noise that matching is told a pixel has, and windows see."""
+    told = noise_after_smoothing(images.reference, known, smoothing_px)
+    part = box_of(known)
+    slopes = [np.where(known[part], slope[part], 0.0) for slope in (images.gradient_x, images.gradient_y)]
+    seen = float(np.mean([noise_in_windows(slope, smoothing_px, window) for slope in slopes]))
+    return _Noise(
+        noise_of_pixels(smoothing_px) / told,
+        left_by_fit * seen / told,
+        noise_of_differences(smoothing_px) / told,
+        left_by_fit,
+    )
+
+
+def _variance(noise: Noise, level: Floats) -> Floats:
+    return np.maximum(noise.floor + noise.slope * level, _LEAST_VARIANCE)
+
+
+def _in_part(
+    images: PreparedImages,
+    image: Floats,
+    inner: Mask,
+    part: tuple[slice, slice],
+    sizes: _Sizes,
+    noise: _Noise,
+) -> tuple[Floats, Floats]:
+    """Return for rows and columns the mean square of what windows ask for (2, ..), and their misfit."""
+    f = _seen_as_deformed(images, image, part)
+    g = np.empty(f.shape)
+    code = KERNEL_CODE[images.interpolant]
+    _carry(part[0].start, part[1].start, images.coefficients, code, image[:, *part], g)
+    # The rim of a region, which is not matched, mixes with what lies behind it.
+    known = np.isfinite(g) & (images.labels[part] > 0)
+    g = np.where(known, g, 0.0)
+    coarse = _left_over(f, g, known, known, max(sizes.squares))[0]
+    residual, gain, texture = _left_over(f, g, known, _alike(coarse, known), sizes.subset)
+    like = _alike(residual, known)
+    gx, gy = (np.where(known, slope[part], 0.0) for slope in (images.gradient_x, images.gradient_y))
+    variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
+    roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
+    asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
+    noises = np.where(inner[part], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
+    square = np.stack(
+        [_mean_square(a, n, known, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
+    )
+    x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
+    fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
+    with np.errstate(invalid="ignore"):
+        sure = known & (fine_asked**2 > _ALONE**2 * roughness * spread)
+    square = np.maximum(square, np.where(sure, fine_asked**2, 0.0))
+    step = np.where(np.isfinite(asked) & (np.abs(asked) < _FAR), asked, 0.0)
+    mended = residual - step[0] * gx - step[1] * gy
+    squares = np.where(like, np.minimum(mended**2, residual**2), np.where(known, residual**2, 0.0))
+    return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
+
+
+def _seen_as_deformed(images: PreparedImages, image: Floats, part: tuple[slice, slice]) -> Floats:
+    """Return a part of the reference image, as blurred as the deformed one is."""
+    f = images.reference[part]
+    if images.blur == 0.0:
+        return f
+    seen = f.copy()
+    _see_as_deformed(image[:, *part], images.gradient_x[part], images.gradient_y[part], images.blur, seen)
+    return seen
+
+
+def _alike(residual: Floats, known: Mask) -> Mask:
+    """Return the known pixels whose residual is no outlier among them: they show one thing in both images."""
+    squares = residual**2
+    return known & (squares <= _OTHER**2 * (float(np.median(squares[known])) if known.any() else 0.0))
+
+
+def _contrast(square: Floats, texture: Floats, part: Floats, window: int) -> Floats:
+    """Return the variance of a texture about its mean in windows, as a share of the whole window's.
+
+    The texture is 0 where it is not known; `square` are the means of its square, `part` those of what is.
+    """
+    return np.maximum(square - _means(texture, window) ** 2 / part, 0.0)
+
+
+def _misfit(
+    squares: Floats,
+    texture: Floats,
+    variance: Floats,
+    roughness: Floats,
+    known: Mask,
+    like: Mask,
+    window: int,
+) -> Floats:
+    """Return means over windows of squared residuals, in variances; infinite where hardly anything is alike.
+
+    With a minus where what differs is little beside the texture, whatever the noise; NaN where nothing is
+    known, where texture and squares are 0. Single pixels that show something else are no matter.
+    """
+    whole = np.maximum(_means(known.astype(np.float64), window), 1e-12)
+    part = np.maximum(_means(like.astype(np.float64), window), 1e-12)
+    relative = np.where(like, squares / np.where(like, variance, 1.0), 0.0)
+    misfit = _means(relative, window) / part
+    left = _means(np.where(like, squares, 0.0), window)
+    alike = np.where(like, texture, 0.0)
+    alike_square = _means(alike**2, window)
+    misfit[left < _LIKE_ENOUGH * _contrast(alike_square, alike, part, window)] *= -1.0
+    misfit[(left > _UNLIKE * alike_square) & (misfit > _DISAGREE * roughness)] = np.inf
+    contrast = _contrast(_means(texture**2, window), texture, whole, window)
+    every = _means(squares, window) > _LIKE_ENOUGH * contrast
+    misfit[every & (part < (1.0 - _OTHERS) * whole)] = np.inf
+    misfit[~known] = np.nan
+    return misfit
+
+
+def _asked_for(
+    gx: Floats, gy: Floats, residual: Floats, variance: Floats, radius: int
+) -> tuple[Floats, Floats]:
+    """Return the displacement (2, ..) in px that windows about each pixel ask for, and its variance."""
+    xx, xy, yy = (_means(a * b, radius) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
+    along_x, along_y = _means(gx * residual, radius), _means(gy * residual, radius)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = xx * yy - xy**2
+        asked = np.stack([yy * along_x - xy * along_y, xx * along_y - xy * along_x]) / determinant
+        spread = variance / (2 * radius + 1) ** 2 * np.stack([yy, xx]) / determinant
+    return asked, spread

@@ -1,0 +1,1 @@
+"""Strain of the measured surface, over gauge discs and between points."""
