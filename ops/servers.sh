@@ -6,6 +6,7 @@
 #   start_servers    exports SMS_TEST_POSTGRESQL_URL and SMS_TEST_REDIS_URL, and TMPDIR, a folder beside theirs
 #   stop_servers     ends what start_servers started and removes the folder
 #   keep_folders     moves what failed tests have left in TMPDIR to the disk
+#   provide_servers  installs PostgreSQL and Redis
 #   provide_peers    installs what projectors and cameras are tried against
 #   provide_browser  installs a Chromium for the tests of reports
 #   do_without_browser  leaves these tests out where there is none and nobody insists
@@ -52,13 +53,18 @@ provide() {
     fi
 }
 
+provide_servers() {
+    if [ -z "${SMS_TEST_POSTGRESQL_URL:-}" ] && ! find_postgresql; then provide "a PostgreSQL server" postgresql; fi
+    if [ -z "${SMS_TEST_REDIS_URL:-}" ] && ! command -v redis-server >/dev/null; then provide "a Redis server" redis-server; fi
+}
+
 # Installs an X server in memory, the library of GigE cameras, which brings a simulated one, and what makes network
 # namespaces, which stand for several computers. They exist for Linux; elsewhere the tests that need them are skipped. What is missing fails its own tests and no others.
 provide_peers() {
     local packages=""
     if [ "$(uname)" != Linux ]; then return; fi
     if ! command -v Xvfb >/dev/null; then packages="xvfb"; fi
-    if ! .venv/bin/python -c 'import ctypes; ctypes.CDLL("libaravis-0.8.so.0")' 2>/dev/null; then
+    if ! { ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null | grep -q 'libaravis-0\.8\.so\.0'; then
         packages="$packages aravis-tools-cli"
     fi
     if ! command -v ip >/dev/null; then packages="$packages iproute2"; fi
@@ -112,10 +118,7 @@ free_port() {
 # this server, so that none of them has to be forced to a disk.
 start_postgresql() {
     local port account=nobody data="$SERVERS/postgresql"
-    if ! find_postgresql; then
-        provide "a PostgreSQL server" postgresql
-        find_postgresql || die "PostgreSQL's initdb was not found after its installation"
-    fi
+    find_postgresql || die "PostgreSQL's initdb was not found: look at what its installation said"
     mkdir "$data"
     if [ "$(id -u)" = 0 ]; then
         if id postgres >/dev/null 2>&1; then account=postgres; fi
@@ -134,7 +137,6 @@ start_postgresql() {
 
 start_redis() {
     local port tries=0
-    if ! command -v redis-server >/dev/null; then provide "a Redis server" redis-server; fi
     port="$(free_port)"
     mkdir "$SERVERS/redis"
     redis-server --port "$port" --bind 127.0.0.1 --dir "$SERVERS/redis" --save '' --appendonly yes --maxmemory-policy noeviction >"$SERVERS/redis/server.log" 2>&1 &

@@ -5,6 +5,9 @@
 #   set_up requirements.lock         what the program needs
 #   set_up requirements-test.lock    the same versions, and what its tests need
 
+# Packages are compiled by whoever imports them first, and the program itself in every process otherwise.
+unset PYTHONDONTWRITEBYTECODE
+
 say() { printf '%s\n' "$*" >&2; }
 
 die() {
@@ -53,7 +56,8 @@ set_up() {
         "$python" -m venv --clear .venv >&2
     fi
     local pip=".venv/bin/python -m pip --disable-pip-version-check --quiet"
-    $pip install --requirement "$lock" >&2 || die "the packages of $lock could not be installed: see pip's message above, mend it and run this again"
+    # Python compiles what it imports; compiling all that is installed takes as long as installing it.
+    $pip install --no-compile --requirement "$lock" >&2 || die "the packages of $lock could not be installed: see pip's message above, mend it and run this again"
     # The build backend comes from the lock too.
     $pip install --no-deps --no-build-isolation --editable . >&2 || die "sms_jobs itself could not be installed: see pip's message above"
     fingerprint "$python" "$lock" >".venv/$lock.stamp"

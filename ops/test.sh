@@ -12,9 +12,6 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 failed="" auditing=""
 
-# The program would be compiled anew in every process that a test starts, and every test by each process of pytest.
-unset PYTHONDONTWRITEBYTECODE
-
 # Runs a check and goes on after a failure, so that one run tells everything that is wrong.
 step() {
     local name="$1" started=$SECONDS status=0
@@ -43,9 +40,9 @@ trap stop_servers EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM HUP
 
-set_up requirements-test.lock
-(provide_peers && provide_browser) & # while the checks run
+(provide_servers && provide_peers && provide_browser) & # while Python's packages are installed and the checks run
 installing=$!
+set_up requirements-test.lock
 if [ $# = 0 ]; then
     # Asks a server and so waits most of its time: while all the rest runs.
     .venv/bin/python ops/audit.py requirements-test.lock & auditing=$!
@@ -57,7 +54,7 @@ if [ $# = 0 ]; then
     step "mypy" .venv/bin/mypy
     step "layers" .venv/bin/lint-imports
 fi
-wait $installing
+wait $installing || die "what the tests need was not installed: see above"
 do_without_browser
 start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
