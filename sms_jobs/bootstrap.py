@@ -139,7 +139,8 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
 
     Raises
     ------
-    As `services`, and Conflict when the damaged file is in use.
+    As `services`; Conflict when the damaged file is in use; ConfigurationError when `database_url` names a
+    file outside the home that is no SQLite database.
     """
     settings = settings_file.load(home)
     _require_home(settings)
@@ -148,6 +149,11 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
     with TemporaryDirectory() as folder:
         damage = None if file is None else renewal.damage(file)
         if damage is not None and file is not None:
+            if renewal.is_other_file(file, settings.home):
+                raise ConfigurationError(
+                    f"{file} is no SQLite database, and stays as it is: look whether database_url is right; "
+                    "if this was the catalogue, move the file away yourself and run this again"
+                )
             aside = "" if dry_run else f" to {renewal.set_aside(file)}"
             said = f"the catalogue {file} is damaged ({damage}), and set aside{aside} for a new one"
         elif _is_empty(url):

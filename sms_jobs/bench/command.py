@@ -18,7 +18,7 @@ from sms_jobs.bench.figures import Figure, Run, machine
 from sms_jobs.bench.groups import all_groups, group_named
 from sms_jobs.bench.published import COLUMNS
 from sms_jobs.bench.studies import all_studies, study_named
-from sms_jobs.bench.study import write
+from sms_jobs.bench.study import outputs, write
 from sms_jobs.cli import output
 from sms_jobs.cli.demo import Size
 from sms_jobs.cli.output import Json
@@ -136,7 +136,9 @@ def study(
         output.print_table(("study", "what it shows"), rows, empty="there are no studies")
         return
     chosen = study_named(name)
-    outcome = chosen.of_size(size.value if size else None)(output.say)
+    answer = chosen.of_size(size.value if size else None)
+    outputs(chosen, out)  # before minutes of work
+    outcome = answer(output.say)
     files = write(outcome, chosen, out)
     if as_json:
         about = {"study": name, "machine": machine(), "files": [str(f) for f in files]}

@@ -11,6 +11,7 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sms_jobs.app.writing import check_new_file, new_folder, write_file
 from sms_jobs.bench.published import COLUMNS, Judged
 from sms_jobs.errors import InvalidInput
 from sms_jobs.virtual_rig.campaigns import Size
@@ -110,16 +111,31 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def outputs(study: Study, folder: Path) -> tuple[Path, Path, Path]:
+    """Return the files that a study writes into a folder, which is made: picture, numbers, table.
+
+    Raises
+    ------
+    InvalidInput
+        The folder cannot be made, or one of them cannot be written there.
+    """
+    new_folder(folder)
+    picture, numbers, table = (folder / f"{study.name}.{end}" for end in ("png", "json", "csv"))
+    for file in (picture, numbers, table):
+        check_new_file(file, force=True)
+    return picture, numbers, table
+
+
 def write(outcome: Outcome, study: Study, folder: Path) -> tuple[Path, Path, Path]:
     """Write a study into a folder; return its picture, its numbers with remarks, and its table as CSV."""
-    folder.mkdir(parents=True, exist_ok=True)
-    picture, numbers, table = (folder / f"{study.name}.{end}" for end in ("png", "json", "csv"))
+    picture, numbers, table = outputs(study, folder)
     buffer = io.BytesIO()
     # Without the version of the program: the same picture has the same bytes.
     outcome.picture.savefig(buffer, format="png", metadata={"Software": None})
-    picture.write_bytes(buffer.getvalue())
+    write_file(picture, buffer.getvalue(), force=True)
     text = json.dumps({"study": study.name, "summary": study.summary} | outcome.as_json(), indent=1)
-    numbers.write_text(text + "\n", encoding="utf-8")
-    with table.open("w", encoding="utf-8", newline="") as out:
-        csv.writer(out).writerows([outcome.table.columns, *outcome.table.known()])
+    write_file(numbers, text + "\n", force=True)
+    rows = io.StringIO()
+    csv.writer(rows).writerows([outcome.table.columns, *outcome.table.known()])
+    write_file(table, rows.getvalue(), force=True)
     return picture, numbers, table

@@ -199,8 +199,9 @@ class Catalogue:
     def damaged(self, reason: str) -> CatalogueDamaged:
         """Return what says that the catalogue cannot be used any more, and how to get another."""
         return CatalogueDamaged(
-            f"the catalogue {self.describe()} is damaged ({reason}); end the service, then restore a backup, "
-            "or run 'sms archive reindex', which makes a new one of the files of the archive"
+            f"the catalogue {self.describe()} is damaged ({reason}); if database_url is right, end the "
+            "service, then restore a backup, or run 'sms archive reindex', which makes a new one from the "
+            "archive's files"
         )
 
     @contextmanager

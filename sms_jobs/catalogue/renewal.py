@@ -19,6 +19,7 @@ _BESIDE = ("", "-wal", "-shm")
 _SHARED_BY_ALL = 128
 """The byte of the last of them on which every open connection holds a lock."""
 _STEPS = 10_000
+_HEADER = b"SQLite format 3\0"
 
 
 def file_of(url: str) -> Path | None:
@@ -48,6 +49,17 @@ def damage(file: Path, limit_s: float | None = None) -> str | None:
     except sqlite3.DatabaseError as error:
         return str(error) if says_damaged(error) else None
     return None if found == "ok" else " ".join(found.split())
+
+
+def is_other_file(file: Path, home: Path) -> bool:
+    """Say whether a file that SQLite cannot read may never have been a catalogue, but was configured as one.
+
+    A file within the home is a catalogue, whatever a disk has made of it.
+    """
+    if file.absolute().is_relative_to(home.absolute()):
+        return False
+    with file.open("rb") as stream:
+        return stream.read(len(_HEADER)) != _HEADER
 
 
 def set_aside(file: Path) -> Path:

@@ -53,10 +53,22 @@ def newest_revision() -> str:
 
 
 def current_revision(catalogue: Catalogue) -> str | None:
-    """Return the catalogue's revision; None for an empty database."""
+    """Return the catalogue's revision; None for an empty database.
+
+    Raises
+    ------
+    ConfigurationError
+        The database is another program's.
+    """
     with catalogue.reading() as session:
-        if not inspect(session.connection()).has_table("alembic_version"):
+        tables = inspect(session.connection()).get_table_names()
+        if not tables:
             return None
+        if "alembic_version" not in tables:
+            raise ConfigurationError(
+                f"the database {catalogue.describe()} holds tables of another program ({tables[0]} and "
+                f"{len(tables) - 1} more); give database_url a database of its own"
+            )
         found: str | None = session.scalar(text("SELECT version_num FROM alembic_version"))
         return found
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,7 +16,7 @@ from typer.exceptions import TyperException
 import sms_jobs
 from sms_jobs.cli import output
 from sms_jobs.cli.commands import Commands
-from sms_jobs.errors import SmsError
+from sms_jobs.errors import SmsError, StorageUnusable
 
 _INTERRUPTED = 130
 _TRUE = frozenset({"1", "true", "t", "yes", "y", "on"})
@@ -49,12 +52,10 @@ def _options(
 
 def main() -> None:
     """Run the command line; exit codes are those of `sms_jobs.errors`."""
-    for stream in (sys.stdout, sys.stderr):
-        # A terminal that lacks a letter is shown its number.
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    _prepare_streams()
     try:
         code = app(standalone_mode=False)
+        sys.stdout.flush()
     except SmsError as error:
         _refuse(error, str(error), error.exit_code)
     except TyperException as error:
@@ -76,11 +77,76 @@ def main() -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+class _Answers(io.TextIOWrapper):
+    """Standard output, whose errors are told from those of other files, even where somebody swallows one."""
+
+    _failure: StorageUnusable | None = None
+
+    def write(self, text: str, /) -> int:
+        """Write a text; raise `StorageUnusable` where it cannot be written."""
+        with self._blamed():
+            return super().write(text)
+
+    def flush(self) -> None:
+        """Write what is held back; raise `StorageUnusable` where something could not be written."""
+        with self._blamed():
+            super().flush()
+
+    def drop(self) -> None:
+        """Let what is still held back go nowhere: the interpreter tries to write it when it ends."""
+        self._failure = None
+        _lead_nowhere(self.fileno())
+
+    @contextmanager
+    def _blamed(self) -> Iterator[None]:
+        if self._failure is not None:
+            raise self._failure
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            self._failure = StorageUnusable(
+                f"the answer cannot be written to standard output: {error.strerror}; free some space, or "
+                "write it elsewhere"
+            )
+            raise self._failure from error
+
+
+def _prepare_streams() -> None:
+    """Let both streams take any letter, and have somewhere to go where whoever started us has closed them."""
+    if sys.stdout is None:
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as this lives
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+    # A terminal that lacks a letter is shown its number.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        encoding, at_once, by_line = sys.stdout.encoding, sys.stdout.write_through, sys.stdout.line_buffering
+        sys.stdout = _Answers(
+            sys.stdout.detach(), encoding, "backslashreplace", line_buffering=by_line, write_through=at_once
+        )
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        sys.stderr.reconfigure(errors="backslashreplace")
+
+
 def _refuse(error: Exception, text: str, code: int) -> None:
     if os.environ.get("SMS_DEBUG", "").lower() in _TRUE:
         raise error
-    output.say_error(text)
+    try:
+        sys.stdout.flush()
+    except StorageUnusable:
+        if isinstance(sys.stdout, _Answers):
+            sys.stdout.drop()
+    try:
+        output.say_error(text)
+        sys.stderr.flush()
+    except OSError:
+        _lead_nowhere(2)  # the exit code tells it all the same
     sys.exit(code)
+
+
+def _lead_nowhere(descriptor: int) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 if __name__ == "__main__":

@@ -34,12 +34,16 @@ Home = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
 _AS_WIDE_AS_IT_IS = 10_000
+_NARROWEST = 20
+"""Some terminals and schedulers say that they have 0 columns, in which nothing can be shown."""
 
 
 def _width() -> int | None:
     """Return the width of answers: where they are no terminal's, nothing has to be folded for one."""
-    watched = sys.stdout.isatty() or "COLUMNS" in os.environ
-    return None if watched else _AS_WIDE_AS_IT_IS
+    stated = os.environ.get("COLUMNS", "")
+    if stated.isdecimal():
+        return int(stated) if int(stated) >= _NARROWEST else _AS_WIDE_AS_IT_IS
+    return None if sys.stdout.isatty() else _AS_WIDE_AS_IT_IS
 
 
 def answer() -> Console:

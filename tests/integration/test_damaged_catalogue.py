@@ -11,6 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from support.command import inside
 from support.examining import doctor
 from support.homes import make_home
 from typer.testing import CliRunner
@@ -19,7 +20,7 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue import renewal
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli import archive as command
-from sms_jobs.errors import CatalogueEmpty, Conflict
+from sms_jobs.errors import CatalogueEmpty, ConfigurationError, Conflict
 from sms_jobs.jobs.asking import inquiry
 
 
@@ -114,3 +115,36 @@ def test_a_damaged_catalogue_that_is_in_use_stays_where_it_is(sound: Path, home:
     assert f"{Conflict.__name__}: the damaged catalogue {file} is in use" in done.stderr
     assert file.exists()
     assert renewal.set_aside(file).exists()
+
+
+@pytest.mark.parametrize(
+    "content", [b"minutes of a meeting\n", b"\x89PNG\r\n" + bytes(5000)], ids=["text", "picture"]
+)
+def test_a_file_that_was_never_a_catalogue_stays_as_it_is(
+    sound: Path, home: Path, content: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(sound, home / "home")
+    stranger = home / "stranger"
+    stranger.write_bytes(content)
+    monkeypatch.setenv("SMS_DATABASE_URL", f"sqlite:///{stranger}")
+    done = inside("archive", "reindex", "--home", str(home / "home"))
+    assert done.returncode == ConfigurationError.exit_code
+    assert "look whether database_url is right" in done.stderr
+    assert stranger.read_bytes() == content
+    assert sorted(path.name for path in home.iterdir()) == ["home", "stranger"]
+
+
+def test_a_database_of_another_program_is_given_no_tables(
+    sound: Path, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(sound, home / "home")
+    stranger = home / "addresses.sqlite"
+    with closing(sqlite3.connect(stranger)) as connection, connection:
+        connection.execute("CREATE TABLE address (street)")
+    monkeypatch.setenv("SMS_DATABASE_URL", f"sqlite:///{stranger}")
+    for command_line in (("init",), ("archive", "reindex"), ("status",), ("db", "upgrade")):
+        done = inside(*command_line, "--home", str(home / "home"))
+        assert done.returncode == ConfigurationError.exit_code, command_line
+        assert "holds tables of another program (address and 0 more)" in done.stderr
+    with closing(sqlite3.connect(stranger)) as connection:
+        assert connection.execute("SELECT name FROM sqlite_schema").fetchall() == [("address",)]

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from sms_jobs.cli import output
 from sms_jobs.cli.output import answer
 from sms_jobs.cli.tables import fitted
 
@@ -59,3 +60,12 @@ def test_nothing_is_cut(rows: list[tuple[str, str, str, str]], width: int) -> No
     assert all(len(line.rstrip()) <= width for line in shown.splitlines())
     letters = sorted("".join(shown.split()))
     assert letters == sorted("".join(text for row in (columns, *rows) for text in row))
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "19", "", "many"])
+def test_a_width_in_which_nothing_can_be_shown_counts_as_none(
+    columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    output.print_table(["campaign", "states"], [("wing-fatigue-of-the-left-panel", 12)], empty="")
+    assert "wing-fatigue-of-the-left-panel" in capsys.readouterr().out

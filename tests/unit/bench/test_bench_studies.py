@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from support.command import inside
 
 from sms_jobs.bench.studies import all_studies, study_named, table_6
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure, write
@@ -36,6 +37,19 @@ def test_a_study_is_written_as_picture_and_numbers(home: Path) -> None:
     assert table.read_text(encoding="utf-8") == '"a, mm",b\n1.0,x\n,y\n'
     again, *_ = write(study.run(print), study, home)
     assert again.read_bytes() == picture.read_bytes()
+
+
+@pytest.mark.parametrize("place", ["a device", "a file", "below a file"])
+def test_a_study_that_cannot_be_written_is_refused_before_it_begins(home: Path, place: str) -> None:
+    file = home / "minutes.txt"
+    file.write_text("kept", encoding="utf-8")
+    folder = {"a device": Path("/dev/null"), "a file": file, "below a file": file / "studies"}[place]
+    # This study takes a minute and says what it does.
+    done = inside("study", "table-6", "--out", str(folder), timeout=20.0)
+    assert done.returncode == InvalidInput.exit_code
+    assert len(done.stderr.splitlines()) == 1
+    assert "cannot be made" in done.stderr
+    assert file.read_text(encoding="utf-8") == "kept"
 
 
 STORED = Path(__file__).resolve().parents[3] / "docs" / "studies"
