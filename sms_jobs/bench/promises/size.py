@@ -6,13 +6,17 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import psutil
+
 from sms_jobs import bootstrap
+from sms_jobs.app.work import queues
 from sms_jobs.bench.figures import Condition, Figure, Found, Run
 from sms_jobs.bench.large.many_jobs import fill_queue
 from sms_jobs.bench.promises import Promise
@@ -24,6 +28,8 @@ _ACTIVE = 100_000
 _QUICK = 5_000
 _REPEATS = 3
 _CPU_LIMIT_S = 1.0
+_SETTLED_S, _WATCHED_S = 10.0, 30.0
+_SHARE_LIMIT = 0.05
 
 
 def status_cpu_s(home: Path, active: int, run: Run) -> float:
@@ -51,6 +57,24 @@ def _status(home: Path) -> tuple[dict[str, Any], float]:
     return status, seconds
 
 
+def supervisor_share(home: Path) -> float:
+    """Return the part of a core that a supervisor needs while all jobs of a home are held back."""
+    with bootstrap.services(home) as services:
+        queues.pause(services, [], "measuring")
+    command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "up", "--home", str(home)]
+    with (home / "up.log").open("ab") as log:
+        service = psutil.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+    try:
+        time.sleep(_SETTLED_S)
+        before = service.cpu_times()
+        time.sleep(_WATCHED_S)
+        after = service.cpu_times()
+    finally:
+        service.terminate()
+        service.wait(timeout=60)
+    return float(after.user + after.system - before.user - before.system) / _WATCHED_S
+
+
 def measure(run: Run) -> Iterator[Found]:
     """Yield the CPU-seconds of `sms status` on both databases, as far as they are there."""
     active = _QUICK if run.quick else _ACTIVE
@@ -62,6 +86,13 @@ def measure(run: Run) -> Iterator[Found]:
     embedded = status_cpu_s(run.folder / "size-embedded", active, run)
     yield Figure("status_100k_cpu_s", None if run.quick else embedded, "s", _CPU_LIMIT_S, "at most")
     yield Condition("status_100k_cpu_s", f"{text}; SQLite")
+    run.say("promises: a supervisor of very many jobs")
+    share = supervisor_share(run.folder / "size-embedded")
+    yield Figure("supervisor_100k_share", None if run.quick else share, "of a core", _SHARE_LIMIT, "at most")
+    yield Condition(
+        "supervisor_100k_share",
+        f"CPU time of the supervisor of the same jobs, all held back, over {_WATCHED_S:g} s; SQLite",
+    )
     with fresh_postgresql() as database:
         grown = None
         if database is not None:
