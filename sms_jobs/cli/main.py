@@ -119,8 +119,8 @@ def _prepare_streams() -> None:
         sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as this lives
     if sys.stderr is None:
         sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
-    # A terminal that lacks a letter is shown its number.
-    if isinstance(sys.stdout, io.TextIOWrapper):
+    # A terminal that lacks a letter is shown its number. What somebody else has put there stays as it is.
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout is sys.__stdout__:
         encoding, at_once, by_line = sys.stdout.encoding, sys.stdout.write_through, sys.stdout.line_buffering
         sys.stdout = _Answers(
             sys.stdout.detach(), encoding, "backslashreplace", line_buffering=by_line, write_through=at_once
