@@ -309,9 +309,11 @@ class FaultCampaign:
     def kill_idle(self) -> bool:
         with self.catalogue.reading() as session:
             busy = set(session.scalars(select(JobRow.pid).where(JobRow.state == JobState.RUNNING)))
-        nurseries = [n for s in self._services for n in psutil.Process(s.pid).children()]
-        idle = [p for n in nurseries for p in n.children() if p.pid not in busy]
+        idle = [p for n in self._nurseries() for p in n.children() if p.pid not in busy]
         return bool(idle) and self._kill(self._random.choice(idle))
+
+    def _nurseries(self) -> list[psutil.Process]:
+        return [n for s in self._services for n in psutil.Process(s.pid).children()]
 
     def stop_busy(self) -> bool:
         """Stop what runs a job; its supervisor lets it go on."""
@@ -321,8 +323,10 @@ class FaultCampaign:
         return True
 
     def kill_nursery(self) -> bool:
-        nursery = self._a_running_process().parent()
-        return nursery is not None and "nursery" in " ".join(nursery.cmdline()) and self._kill(nursery)
+        # Not the parent of what runs: a place outlives the nursery that forked it.
+        self._a_running_process()
+        nurseries = self._nurseries()
+        return bool(nurseries) and self._kill(self._random.choice(nurseries))
 
     def _a_supervisor(self) -> psutil.Process:
         """Return the supervisor of a job that runs, if it can be told."""
