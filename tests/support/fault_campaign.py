@@ -309,11 +309,22 @@ class FaultCampaign:
     def kill_idle(self) -> bool:
         with self.catalogue.reading() as session:
             busy = set(session.scalars(select(JobRow.pid).where(JobRow.state == JobState.RUNNING)))
-        idle = [p for n in self._nurseries() for p in n.children() if p.pid not in busy]
+        idle = [p for p in self._places() if p.pid not in busy]
         return bool(idle) and self._kill(self._random.choice(idle))
 
     def _nurseries(self) -> list[psutil.Process]:
         return [n for s in self._services for n in psutil.Process(s.pid).children()]
+
+    def _places(self) -> list[psutil.Process]:
+        """Return the processes for jobs, those included whose nursery is gone."""
+        nurseries = {nursery.pid for nursery in self._nurseries()}
+        found = []
+        for process in psutil.process_iter():
+            with suppress(psutil.Error):
+                ours = "sms_jobs.workers.nursery" in process.cmdline() and process.pid not in nurseries
+                if ours and process.environ().get("SMS_ARCHIVE") == str(self.place.archive):
+                    found.append(process)
+        return found
 
     def stop_busy(self) -> bool:
         """Stop what runs a job; its supervisor lets it go on."""
