@@ -79,6 +79,19 @@ def test_nobody_goes_around_the_archive() -> None:
     assert asked == []
 
 
+def test_what_is_sealed_or_withdrawn_passes_the_repository() -> None:
+    ways = {"seal_dataset", "seal_document", "discard"}
+    found = set()
+    for path in (ROOT / "sms_jobs").rglob("*.py"):
+        if {"archive", "bench"} & set(path.parts):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and node.attr in ways:
+                if ast.unparse(node.value).rpartition(".")[2] == "archive":
+                    found.add(relative(path))
+    assert found == {"sms_jobs/jobs/archiving/repository.py"}
+
+
 def test_names_say_what_is_inside() -> None:
     vague = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc", "data", "process"}
     named_by_a_command = ROOT / "sms_jobs" / "cli"  # `sms data`

@@ -139,7 +139,7 @@ class Repository:
         try:
             return indexing.entry_of(sealed, provenance, lambda name, _: records.get(name))
         except BaseException:
-            self.archive.discard(sealed.path)
+            self.withdraw(sealed.path)
             raise
 
     def seal_document(
@@ -148,11 +148,19 @@ class Repository:
         """Seal a file that `write` fills; return what is to be indexed of it."""
         return Entry(self.archive.seal_document(filename, media_type, write, provenance), provenance)
 
+    def withdraw(self, path: str) -> None:
+        """Take a file out of the archive that the catalogue does not know, or has forgotten.
+
+        A document goes with its provenance, and one that is not there is no fault. Raises `OSError` for a
+        file that will not go.
+        """
+        self.archive.discard(path)
+
     def discard(self, entries: Iterable[Entry]) -> None:
-        """Take files out of the archive that the catalogue does not know; those that will not go stay."""
+        """Withdraw what was sealed and never entered; of a file that will not go the log tells."""
         for entry in entries:
             try:
-                self.archive.discard(entry.sealed.path)
+                self.withdraw(entry.sealed.path)
             except OSError as error:
                 logger.warning("%s stays: %s", entry.sealed.path, error)
 

@@ -223,14 +223,18 @@ def remove(
     files are left that the catalogue does not know: 'sms archive verify' names them, nothing that is known
     is missing.
     """
+    # Many of those who load this module remove nothing.
+    from sms_jobs.jobs.archiving.repository import Repository
+
     with catalogue.writing() as session:
         chosen = removable(session, now, older_than, kinds)
         locked = _lock(session, [one.file_id for one in chosen])
         old = _old(session, now, older_than, kinds)
         gone = without_needed(session, [one for one in old if one.file_id in locked])
         forget(session, [one.file_id for one in gone])
+    repository = Repository(catalogue, archive)
     for one in gone:
-        archive.discard(one.path)
+        repository.withdraw(one.path)
     return gone
 
 

@@ -22,6 +22,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats import research_crate as crate
+from sms_jobs.jobs.archiving.repository import Repository
 from sms_jobs.jobs.portable.decisions import decisions, seal_missing
 from sms_jobs.jobs.rebuilding import reindexing
 from sms_jobs.jobs.rebuilding.reindexing import Reindexed
@@ -170,7 +171,7 @@ def enter(
         paths = [path for path in reindexing.unknown_files(catalogue, archive) if path in new]
         for entered in reindexing.reindex(catalogue, archive, paths, checker=reader):
             if entered.outcome not in ("indexed", "incomplete") and entered.path in mine:
-                archive.discard(entered.path)
+                Repository(catalogue, archive).withdraw(entered.path)
             yield entered
 
 

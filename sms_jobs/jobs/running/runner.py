@@ -290,7 +290,7 @@ class Runner:
             # One that was given up and does not know it must not take away what a newer one writes.
             if path not in indexed and layout.attempt_of(path, held.job_id) < held.attempt:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
-                self.archive.discard(path)
+                self._repository.withdraw(path)
 
     def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[Entry]:
         progress = _ThrottledProgress(self, held)
