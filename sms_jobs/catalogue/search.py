@@ -23,6 +23,7 @@ from sms_jobs.catalogue.models import (
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import NotFound
 from sms_jobs.records.shown.files import CalibrationView, FileView
+from sms_jobs.records.subject import Subject
 
 _MOST_DIGITS = 18
 
@@ -182,11 +183,10 @@ def _views() -> Select[FileRow, str, str]:
 
 
 def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
-    subject = "/".join(part for part in (campaign, state, row.view) if part is not None)
     return FileView(
         id=row.id,
         source=row.source,
-        subject=subject,
+        subject="" if campaign is None else str(Subject(campaign, state, row.view)),
         path=row.path,
         content_hash=row.content_hash,
         size_bytes=row.size_bytes,

@@ -19,6 +19,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.units import duration_s, typed
 
 _LONGEST_S = 30 * 86400.0
@@ -251,7 +252,7 @@ def watch(campaign: Campaign, home: Home = None) -> None:
             for one in found:
                 if one.is_next:
                     waits = one.waits_for.partition(_LAST_READ)[0]
-                    tell("next", f"{campaign}/{one.state} is next: {waits}")
+                    tell("next", f"{Subject(campaign, one.state)} is next: {waits}")
                 stopped = f"{campaign} is held: {one.stopped_by}" if one.stopped_by else ""
                 if tell(one.state, stopped):
                     output.answer().bell()
@@ -278,7 +279,8 @@ def _look_row(look: QuickLookView) -> tuple[str, ...]:
     read = [_gauge_words(gauge) for gauge in look.gauges]
     if look.gauges_lost:
         read.append(f"{look.gauges_lost} without a value")
-    return f"{look.campaign}/{look.state}/{look.view}", look.status, shape, "; ".join(read), look.doubts
+    about = str(Subject(look.campaign, look.state, look.view))
+    return about, look.status, shape, "; ".join(read), look.doubts
 
 
 def _gauge_words(gauge: GaugeLook) -> str:
@@ -366,7 +368,7 @@ def _tell(found: list[PlannedRecording], as_json: bool) -> None:
         return
     for one in found:
         if one.is_next:
-            output.print_sentence(f"{one.campaign}/{one.state} is next: {one.waits_for}")
+            output.print_sentence(f"{Subject(one.campaign, one.state)} is next: {one.waits_for}")
     output.print_table(
         ["campaign", "state", "waits for", "is", "due", "note"],
         [(r.campaign, r.state, r.trigger, r.status, r.due_at, r.note) for r in found],

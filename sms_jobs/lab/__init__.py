@@ -209,7 +209,7 @@ class Lab:
 
     def _along_specimen(self, stored: StoredRecord) -> StoredRecord:
         """Return a record along the axes of the specimen of its campaign."""
-        campaign = self._source.definition(stored.file.subject.partition("/")[0])
+        campaign = self._source.definition(stored.file.in_campaign().campaign)
         return replace(stored, record=in_specimen_frame(stored.record, campaign))
 
     def add_view(self, campaign: str, view: str) -> tuple[str, ...]:

@@ -34,12 +34,35 @@ class Subject:
     view: str | None = None
 
     def __str__(self) -> str:
-        return "/".join(part for part in (self.campaign, self.state, self.view) if part is not None)
+        return "/".join(self._parts)
 
     @classmethod
     def parse(cls, text: str) -> Subject:
         """Read `campaign`, `campaign/state` or `campaign/state/view`."""
         return _parsed(text)
+
+    @property
+    def at_state(self) -> Subject:
+        """The state that it is about, whoever saw it; the campaign where it is about all of that."""
+        return replace(self, view=None)
+
+    def covers(self, other: Subject) -> bool:
+        """Say whether another is this one, or a part of it."""
+        return other._parts[: len(self._parts)] == self._parts
+
+    @property
+    def within(self) -> str:
+        """How it is called within its campaign: by its state and view, as `state/view`."""
+        return "/".join(self._parts[1:]) or self.campaign
+
+    @property
+    def in_filename(self) -> str:
+        """How it is written in the name of a file."""
+        return "-".join(self._parts)
+
+    @property
+    def _parts(self) -> tuple[str, ...]:
+        return tuple(part for part in (self.campaign, self.state, self.view) if part is not None)
 
     @property
     def recordings(self) -> tuple[Subject, ...]:

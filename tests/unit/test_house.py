@@ -30,6 +30,11 @@ def relative(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+def name_of(node: ast.AST) -> str:
+    """Return the last word of what an expression names: `subject` of `job.subject`."""
+    return ast.unparse(node).rpartition(".")[2]
+
+
 def packages(lock: str) -> dict[str, set[str]]:
     """Return the versions of each package of a lock; platforms may differ."""
     found: dict[str, set[str]] = {}
@@ -86,10 +91,22 @@ def test_what_is_sealed_or_withdrawn_passes_the_repository() -> None:
         if {"archive", "bench"} & set(path.parts):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute) and node.attr in ways:
-                if ast.unparse(node.value).rpartition(".")[2] == "archive":
-                    found.add(relative(path))
+            if isinstance(node, ast.Attribute) and node.attr in ways and name_of(node.value) == "archive":
+                found.add(relative(path))
     assert found == {"sms_jobs/jobs/archiving/repository.py"}
+
+
+def test_a_subject_is_taken_apart_in_one_place() -> None:
+    cuts = {"split", "rsplit", "partition", "rpartition", "replace", "count", "startswith", "endswith"}
+    in_pages = [path for path in (ROOT / "sms_jobs" / "web").rglob("*") if path.suffix in (".html", ".js")]
+    cut = re.compile(rf"\bsubject\.({'|'.join(sorted(cuts))})\(")
+    found = [relative(path) for path in in_pages if cut.search(path.read_text(encoding="utf-8"))]
+    for path in SOURCES:
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        asked = [node for node in nodes if isinstance(node, ast.Attribute) and node.attr in cuts]
+        lines = [node.lineno for node in asked if name_of(node.value) == "subject"]
+        found += [f"{relative(path)}:{line}" for line in lines]
+    assert found == []
 
 
 def test_names_say_what_is_inside() -> None:

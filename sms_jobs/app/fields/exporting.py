@@ -176,14 +176,17 @@ def _export(services: Services, view: FileView, out: Path | None, options: Expor
             if options.frame == "specimen":
                 record = _turned(services, view, record)
             source = source_for(exporter, record, options.fields, _texture(dataset, record))
-            stem = "-".join(
-                [view.subject.replace("/", "-"), view.source, *([name] if len(names) > 1 else ())]
-            )
+            stem = f"{_stem(view)}-{name}" if len(names) > 1 else _stem(view)
             target = _target(out, f"{stem}{exporter.suffix}", options.force)
             with writing.new_file(target, options.force) as part:
                 exporter.write(source, part)
             written.append(target)
     return written
+
+
+def _stem(view: FileView) -> str:
+    """Return how a file begins that holds something of another: with what that is about, and its source."""
+    return view.source if view.about is None else f"{view.about.in_filename}-{view.source}"
 
 
 def _repacked(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> Path:
@@ -192,7 +195,7 @@ def _repacked(services: Services, view: FileView, out: Path | None, options: Exp
 
     if options.fields or options.record or options.frame != "world":
         raise InvalidInput("hdf5 takes the whole file; leave out --fields, --record and --frame")
-    target = _target(out, f"{view.subject.replace('/', '-')}-{view.source}.h5", options.force)
+    target = _target(out, f"{_stem(view)}.h5", options.force)
     services.archive.verify_bytes(view)
     with writing.new_file(target, options.force) as part, services.archive.local(view.path) as sealed:
         repack(sealed, part, view.path)
@@ -203,7 +206,7 @@ def _turned(services: Services, view: FileView, record: Any) -> Any:
     """Return a record along the axes of the specimen of its campaign."""
     from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
 
-    return in_specimen_frame(record, campaigns.definition(services, view.subject.partition("/")[0]))
+    return in_specimen_frame(record, campaigns.definition(services, view.in_campaign().campaign))
 
 
 def _form(view: FileView, out: Path | None, options: ExportOptions) -> str | None:

@@ -17,7 +17,6 @@ from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges,
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, SURFACE
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
-from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _MOVED = "correlate"
@@ -76,7 +75,7 @@ def gauge_at(services: Services, key: str, gauge: str, *, part: str | None = Non
     parameters = GaugesParameters(gauge=(gauge,))
     with services.catalogue.reading() as session:
         moved, shape = _displacement(session, search.file_view(session, key), part or "")
-        subject = Subject.parse(moved.subject)
+        subject = moved.in_campaign()
         campaign = campaigns.definition(campaigns.campaign_row(session, subject.campaign))
     with services.archive.open(moved) as dataset, services.archive.open(shape) as at_rest:
         known = all(product.stored_as in dataset.names for product in OF_BOTH)
@@ -110,7 +109,7 @@ def _displacement(session: Session, file: FileView, camera: str) -> tuple[FileVi
     moved = [file] if file.source == _MOVED else []
     moved += [one.file for one in family.ancestry(session, file).inputs if one.file.source == _MOVED]
     for one in moved:
-        if camera in ("", view_of(one.subject.rpartition("/")[2]).camera):
+        if camera in ("", view_of(one.in_campaign().view).camera):
             shape = [i.file for i in family.ancestry(session, one).inputs if i.role == "reference"]
             if shape:
                 return one, shape[0]

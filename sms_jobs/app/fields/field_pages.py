@@ -94,9 +94,14 @@ class FieldPage:
     statistics: dict[str, float]
 
     @property
+    def campaign(self) -> str:
+        """Name of the campaign that it is about; empty where it is about none."""
+        return "" if self.file.about is None else self.file.about.campaign
+
+    @property
     def state(self) -> str:
         """Label of the state that it is about; empty where it is about none."""
-        return self.file.subject.split("/")[1] if self.file.subject.count("/") else ""
+        return "" if self.file.about is None else self.file.about.state or ""
 
     @property
     def step_px(self) -> int:
@@ -106,7 +111,7 @@ class FieldPage:
     @property
     def view(self) -> str:
         """The view that it is about; empty where it is about none, or several."""
-        return self.file.subject.split("/")[2] if self.file.subject.count("/") > 1 else ""
+        return "" if self.file.about is None else self.file.about.view or ""
 
     @property
     def camera(self) -> str:
@@ -150,8 +155,7 @@ def field_page(services: Services, key: str, part: str | None = None) -> FieldPa
     turn, shift = np.eye(3), np.zeros(3)
     with services.catalogue.reading() as session:
         statistics = search.statistics(session, file.id)
-        if file.subject:
-            about = Subject.parse(file.subject)
+        if (about := file.about) is not None:
             campaign = campaigns.definition(campaigns.campaign_row(session, about.campaign))
             found = search.find_files(session, source=file.source, campaign=about.campaign, limit=_MOST_FILES)
             alike = _alike(file, found, campaign)

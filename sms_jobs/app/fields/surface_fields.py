@@ -20,6 +20,7 @@ from sms_jobs.records.fields import Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
+from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.formats.gauge_descriptions import GaugeReading
@@ -128,9 +129,9 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
         )
     rows = []
     for subject, file in sorted(newest.items()):
+        about = Subject.parse(subject)
         with services.archive.open(file) as dataset:
             found = dataset.read("gauges", GaugeReadings)
-        _, state, seen_by = subject.split("/")
         common = found.sigma_calibration
         for number, (name, strain, sigma, pixels) in enumerate(
             zip(found.names, found.strain, found.sigma, found.pixels, strict=True)
@@ -138,8 +139,8 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
             known = bool(np.isfinite(strain))
             rows.append(
                 GaugeRow(
-                    state,
-                    seen_by,
+                    about.state or "",
+                    about.view or "",
                     name,
                     float(strain) if known else None,
                     float(sigma) if known else None,

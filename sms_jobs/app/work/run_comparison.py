@@ -78,8 +78,8 @@ def compare_runs_page(services: Services, before: str, after: str, *, tell: Tell
     shown: list[_Subtracted] = []
     found = _compared(services, before, after, tell, shown.append, maps=True)
     states = [
-        StateMaps("/".join(state), tuple(_views(some)))
-        for state, some in groupby(shown, lambda one: one.subject.split("/")[:2])
+        StateMaps(str(state), tuple(_views(some)))
+        for state, some in groupby(shown, lambda one: Subject.parse(one.subject).at_state)
     ]
     return ComparedPage(found, runs_page(found, states))
 
@@ -294,6 +294,6 @@ def _views(some: Iterable[_Subtracted]) -> Iterator[View]:
     with_maps = (one for one in some if one.fields)
     for (subject, size), results in groupby(with_maps, lambda one: (one.subject, one.size)):
         found = list(results)
-        view = subject.split("/")[-1]
+        view = Subject.parse(subject).view or ""
         drawn = tuple(field for one in found for field in one.fields)
         yield View(f"Changes as {view} sees them", view, size, found[0].step_px, drawn)

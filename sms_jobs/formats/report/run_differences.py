@@ -14,6 +14,7 @@ from sms_jobs.formats.report.page import Section, page
 from sms_jobs.formats.report.tables import PER_CENT
 from sms_jobs.formats.report.view import View
 from sms_jobs.records.shown.runs import Difference, RunChange, RunComparison
+from sms_jobs.records.subject import Subject
 
 _STILL_PX = 420
 _ABOUT = (
@@ -77,7 +78,7 @@ def _states(found: RunComparison) -> list[str]:
 
 
 def _state(one: Difference) -> str:
-    return "/".join(one.subject.split("/")[:2])
+    return str(Subject.parse(one.subject).at_state)
 
 
 def _charts(differences: Sequence[Difference]) -> list[Chart]:
@@ -86,7 +87,8 @@ def _charts(differences: Sequence[Difference]) -> list[Chart]:
     for one in differences:
         if one.rms is not None:
             lines = points.setdefault((one.quantity, one.unit), {})
-            lines.setdefault(one.subject.split("/")[-1], []).append(Point(_state(one), one.rms))
+            view = Subject.parse(one.subject).view or ""
+            lines.setdefault(view, []).append(Point(_state(one), one.rms))
     return [
         Chart(f"rms change of {name}", unit, tuple(Line(key, tuple(some)) for key, some in lines.items()))
         for (name, unit), lines in points.items()

@@ -10,6 +10,7 @@ from sms_jobs.formats.report.html import Cell, Given, Markup, code, facts, parag
 from sms_jobs.formats.report.page import Section, page
 from sms_jobs.formats.report.tables import local_time
 from sms_jobs.records.shown.system_tests import Judgement, MeasuredError, SystemVerdict
+from sms_jobs.records.subject import Subject
 
 _MICROMETRES = 1e3
 DISCLAIMER = (
@@ -109,7 +110,7 @@ def _values(values: Sequence[MeasuredError]) -> Markup:
     rows: list[list[Cell]] = [
         [
             one.quantity,
-            f"{one.campaign}/{one.state}",
+            str(Subject(one.campaign, one.state)),
             one.view,
             _micrometres(one.error_mm),
             _micrometres(one.sigma_mm),

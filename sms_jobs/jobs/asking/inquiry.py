@@ -31,6 +31,7 @@ from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.running import empty_results
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, SHORT_ID, UNSUCCESSFUL, JobState
+from sms_jobs.records.subject import Subject
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class JobView:
     seconds: float | None
     reused_from: str | None
     parameters: dict[str, Any]
+
+    @property
+    def about(self) -> Subject:
+        """What it is about."""
+        return Subject.parse(self.subject)
 
 
 def job_view(row: JobRow) -> JobView:
@@ -359,7 +365,7 @@ def running(session: Session, some: Chosen) -> str:
     rows = session.scalars(
         select(JobRow).where(*some.where, JobRow.state == JobState.RUNNING).order_by(JobRow.position).limit(4)
     )
-    return ", ".join(f"{row.kind} {row.subject.partition('/')[2] or row.subject}" for row in rows)
+    return ", ".join(f"{row.kind} {Subject.parse(row.subject).within}" for row in rows)
 
 
 def reused(session: Session, some: Chosen) -> int:

@@ -30,6 +30,7 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import CampaignDefinition
+from sms_jobs.records.subject import Subject
 
 Step: TypeAlias = Literal["index", "set-aside", "forget", "seal-again", "nothing"]
 
@@ -127,12 +128,11 @@ def _command(session: Session, file: FileRow) -> str | None:
     if job is None or not job.repeatable or job.kind not in all_kinds():
         return None
     kind = all_kinds()[job.kind]
-    campaign = session.get_one(CampaignRow, job.campaign_id).name
-    words = ["sms job submit", job.kind, "-c", campaign]
-    _, *rest = job.subject.split("/")
-    for option, name in zip(("--state", "--view"), rest, strict=False):
-        words += [option, name]
-    processing = campaigns.definition(campaigns.campaign_row(session, campaign)).processing
+    about = Subject.parse(job.subject)
+    words = ["sms job submit", job.kind, "-c", about.campaign]
+    for option, name in (("--state", about.state), ("--view", about.view)):
+        words += [] if name is None else [option, name]
+    processing = campaigns.definition(campaigns.campaign_row(session, about.campaign)).processing
     default = kind.parameters.model_validate(processing.get(job.kind, {})).model_dump(mode="json")
     for name, value in job.parameters.items():
         if value != default.get(name):

@@ -27,6 +27,7 @@ from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN
 from sms_jobs.jobs.rebuilding import past_jobs
 from sms_jobs.jobs.rebuilding.past_definitions import PastDefinitions
 from sms_jobs.kinds.kind import CALIBRATION, REFERENCE_SURFACES
+from sms_jobs.records.subject import Subject
 
 Outcome: TypeAlias = Literal["indexed", "incomplete", "refused", "no-campaign", "too-new"]
 
@@ -262,8 +263,7 @@ def _judge_job(session: Session, provenance: Provenance) -> None:
     job = session.get(JobRow, provenance.job_id)
     if job is None:
         return
-    about = f"{provenance.subject}/".startswith(f"{job.subject}/")
-    if job.kind != provenance.kind or not about:
+    if job.kind != provenance.kind or not Subject.parse(job.subject).covers(provenance.subject):
         raise _Refused(f"its job {job.id[:8]} is known as {job.kind} of {job.subject}")
 
 

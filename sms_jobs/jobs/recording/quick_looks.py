@@ -127,7 +127,8 @@ def judge(catalogue: Catalogue, now: datetime) -> None:
                 )
                 .values(held=True)
             )
-            occurrences.enter(session, Topic.LIMIT_REACHED, name, f"{name}/{label}", now, words)
+            about = str(Subject(name, label))
+            occurrences.enter(session, Topic.LIMIT_REACHED, name, about, now, words)
 
 
 def _verdict(session: Session, row: PlannedRecordingRow, campaign: str, label: str) -> str | None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
+from sms_jobs.errors import InvalidInput
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import is_view, view_of
 
 
@@ -25,9 +27,22 @@ class FileView:
     job_id: str | None
 
     @property
+    def about(self) -> Subject | None:
+        """What it is about; None of a calibration, which is a rig's."""
+        return Subject.parse(self.subject) if self.subject else None
+
+    def in_campaign(self) -> Subject:
+        """Return what it is about; raise `InvalidInput` where that is no part of a campaign."""
+        if self.about is None:
+            raise InvalidInput(
+                f"file {self.id} is a {self.source} and of no campaign; choose a measurement or a result"
+            )
+        return self.about
+
+    @property
     def in_plane(self) -> bool:
         """Whether it is about what a camera alone saw."""
-        view = self.subject.rpartition("/")[2]
+        view = "" if self.about is None else self.about.view or ""
         return is_view(view) and not view_of(view).measures_shape
 
 
