@@ -28,7 +28,6 @@ _LONGEST_HOLD_S = 86400.0
 _COUNTER = "cycles"
 _DIGITS = 15
 _EVERY_S = 1.0
-_LAST_READ = "; it read "
 _LOOK_COLUMNS = ("quick look at", "is", "lit part", "gauges", "doubts")
 
 
@@ -251,8 +250,7 @@ def watch(campaign: Campaign, home: Home = None) -> None:
                 tell(look.job_id, "" if _is_coming(look) else _look_sentence(look))
             for one in found:
                 if one.is_next:
-                    waits = one.waits_for.partition(_LAST_READ)[0]
-                    tell("next", f"{Subject(campaign, one.state)} is next: {waits}")
+                    tell("next", f"{Subject(campaign, one.state)} is next: {one.unless_read}")
                 stopped = f"{campaign} is held: {one.stopped_by}" if one.stopped_by else ""
                 if tell(one.state, stopped):
                     output.answer().bell()

@@ -298,16 +298,20 @@ def _shown(one: Planned, rows: Sequence[Planned], served: Collection[str], is_ne
     row, trigger = one.row, triggers.from_json(one.row.trigger)
     due = [r.row.due_at for r in rows if r.campaign == one.campaign and r.row.due_at is not None]
     own = [r for r in rows if r.campaign == one.campaign]
-    waits_for = _waits_for(one, trigger, max(due, default=None), own) if is_next else ""
-    if is_next and (queue := rig_queue(one.rig)) not in served:
-        waits_for += f"; no worker serves {queue}: start 'sms up' on the host of the rig"
+    queue = rig_queue(one.rig)
+    unserved = "" if queue in served else f"; no worker serves {queue}: start 'sms up' on the host of the rig"
+
+    def waits_for(seen: float | None) -> str:
+        return _waits_for(one, trigger, max(due, default=None), own, seen) + unserved if is_next else ""
+
     return PlannedRecording(
         one.campaign,
         one.label,
         str(trigger),
         _status(one),
         is_next,
-        waits_for,
+        waits_for(row.seen),
+        waits_for(None),
         row.due_at,
         row.seen,
         row.seen_at,
@@ -325,7 +329,10 @@ def _status(one: Planned) -> str:
     return "held" if one.row.held and one.row.status == Status.PLANNED.value else one.row.status
 
 
-def _waits_for(one: Planned, trigger: Trigger, before: datetime | None, rows: Sequence[Planned]) -> str:
+def _waits_for(
+    one: Planned, trigger: Trigger, before: datetime | None, rows: Sequence[Planned], seen: float | None
+) -> str:
+    """Say what keeps the next of a plan from being recorded; with what its channel read, where given."""
     if one.job is not None:
         return _why_not(one)
     if one.row.held:
@@ -339,8 +346,7 @@ def _waits_for(one: Planned, trigger: Trigger, before: datetime | None, rows: Se
         due = trigger.next_time(before)
         words = "it is due" if due is None else f"is due at {due.astimezone():%Y-%m-%d %H:%M:%S}"
     elif not isinstance(trigger, triggers.InTurn):
-        seen = "" if one.row.seen is None else f"; it read {one.row.seen:g} last"
-        words = f"waits for {trigger}{seen}"
+        words = f"waits for {trigger}" + ("" if seen is None else f"; it read {seen:g} last")
     return f"{words}; {one.row.note}" if one.row.note else words
 
 

@@ -32,6 +32,8 @@ class PlannedRecording:
         Whether it comes next.
     waits_for
         Of the next one, what keeps it from being recorded now; empty for others.
+    unless_read
+        The same but for what its channel read last, which changes while it waits.
     due_at
         When it was due, once it has begun.
     seen, seen_at
@@ -54,6 +56,7 @@ class PlannedRecording:
     status: str
     is_next: bool
     waits_for: str
+    unless_read: str
     due_at: datetime | None
     seen: float | None
     seen_at: datetime | None

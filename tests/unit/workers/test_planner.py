@@ -19,12 +19,13 @@ from sms_jobs.app.measuring import planned_recordings, recordings
 from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.errors import LinkLost, NotFound
 from sms_jobs.instruments.connection import channel_reader
 from sms_jobs.instruments.simulated.serial.simulation import simulate
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices import locks
-from sms_jobs.jobs.recording import due_recordings
+from sms_jobs.jobs.recording import due_recordings, watched_rigs
 from sms_jobs.jobs.running import queues
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
@@ -138,6 +139,22 @@ def test_a_load_is_waited_for_and_the_rig_held_meanwhile(
     turn(planner)
     # The rig is free for the recording in the same transaction.
     assert (recorded(services), rig_is_held_by(services)) == (["wing/S01"], [])
+
+
+def test_who_follows_a_plan_is_told_once_of_a_wait(services: Services) -> None:
+    planned_recordings.plan(services, "wing", at_load(), ["S01"])
+    told = set()
+    for load_n in (None, 90.0, 91.0):
+        with services.catalogue.writing() as session:
+            row = session.scalars(select(PlannedRecordingRow.id)).one()
+            watched_rigs.note_reading(session, row, load_n, datetime.now(UTC))
+        found = following(services)
+        told.add(found.unless_read)
+        read = "" if load_n is None else f"; it read {load_n:g} last"
+        assert found.waits_for.replace(read, "", 1) == found.unless_read
+        assert (found.waits_for == found.unless_read) is (load_n is None)
+    assert len(told) == 1
+    assert "no worker serves rig-bench" in told.pop()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
