@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.records.input_roles import role_at
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
 
@@ -89,7 +90,7 @@ class Port:
 
     def role(self, subject: Subject) -> str:
         """Return under which name a job keeps the input about a subject."""
-        return f"{self.name} {subject}" if self.several else self.name
+        return role_at(self.name, subject if self.several else None)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy.orm import Session
 
+from sms_jobs.app.holdings.inputs import inputs_at
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
@@ -14,6 +15,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge
 from sms_jobs.kinds.calibration_factors import OF_BOTH, states_from
 from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, read_gauges
+from sms_jobs.kinds.port_names import AT_REST
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, SURFACE
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
@@ -110,7 +112,7 @@ def _displacement(session: Session, file: FileView, camera: str) -> tuple[FileVi
     moved += [one.file for one in family.ancestry(session, file).inputs if one.file.source == _MOVED]
     for one in moved:
         if camera in ("", view_of(one.in_campaign().view).camera):
-            shape = [i.file for i in family.ancestry(session, one).inputs if i.role == "reference"]
+            shape = inputs_at(family.ancestry(session, one).inputs, AT_REST)
             if shape:
                 return one, shape[0]
     raise InvalidInput(

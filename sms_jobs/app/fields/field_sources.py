@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from numpy.typing import NDArray
 
+from sms_jobs.app.holdings.inputs import inputs_at
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import family, search
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.kinds.port_names import AT_REST, MOVED, SHAPE
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView
 
@@ -24,7 +26,6 @@ SAMPLES = 640
 """Most samples of a map along its longer side, unless somebody asks for others."""
 Window: TypeAlias = tuple[int, int, int, int]
 """First row and column of a part of an image, and how many of each."""
-_OF_SHAPE = ("reference", "shape")
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,6 @@ def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
     with services.catalogue.reading() as session:
         file = search.file_view(session, key)
         near = family.ancestry(session, file).inputs
-    inputs = {one.role.partition(" ")[0]: one.file for one in reversed(near)}
     if file.media_type != DATASET_MEDIA_TYPE:
         raise InvalidInput(f"file {key} is a {file.media_type} document and has no fields; open it as it is")
     parts = _parts(services, file)
@@ -109,10 +109,12 @@ def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
         raise NotFound(f"file {key} has no part '{part}'; it has {', '.join(parts)}")
     chosen = part or next(iter(parts))
     placed = parts[chosen]
-    shape = next((inputs[role] for role in _OF_SHAPE if role in inputs), None)
-    for stem, other in (("position", shape), ("displacement", inputs.get("displacement"))):
-        if other is not None and f"{stem} X" not in {one.shown.name for one in placed}:
-            placed = [*placed, *_lent(services, other, stem, placed)]
+    for stem, others in (
+        ("position", inputs_at(near, AT_REST, SHAPE)),
+        ("displacement", inputs_at(near, MOVED)),
+    ):
+        if others and f"{stem} X" not in {one.shown.name for one in placed}:
+            placed = [*placed, *_lent(services, others[0], stem, placed)]
     return Fields(file, chosen, tuple(parts), tuple(placed))
 
 

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from sms_jobs.app.holdings.inputs import inputs_at
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.kinds.port_names import AT_REST
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.people import Right
@@ -278,10 +280,10 @@ def _pixels(shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
 
 def _shape_of(services: Services, parents: Sequence[Ancestor], file: str) -> np.ndarray[Any, Any]:
     """Return where the pixels of a result are, by the shape that it was made from."""
-    shape = next((p.file for p in parents if p.role == "reference"), None)
-    if shape is None:
+    shapes = inputs_at(parents, AT_REST)
+    if len(shapes) != 1:
         raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a view")
-    with services.archive.open(shape) as dataset:
+    with services.archive.open(shapes[0]) as dataset:
         return dataset.read("surface", Surface).position
 
 

@@ -14,7 +14,7 @@ from sms_jobs.catalogue import family, search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.keeping import retention
 from sms_jobs.jobs.keeping.retention import Pin
-from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.port_names import FRAMES_AT_REST
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
 
@@ -136,7 +136,7 @@ def _reference_image(services: Services, inputs: Iterable[Ancestor]) -> Any:
     from sms_jobs.records.measurement import Measurement
 
     for one in inputs:
-        if one.role == "reference" and one.file.source == MEASUREMENT:
+        if one.port == FRAMES_AT_REST:
             with services.archive.open(one.file) as dataset:
                 return dataset.read("measurement", Measurement).texture
         found = _reference_image(services, one.inputs)

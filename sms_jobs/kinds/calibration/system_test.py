@@ -25,6 +25,7 @@ from sms_jobs.kinds.kind import (
     tuples,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import SHAPE
 from sms_jobs.kinds.products import CALIBRATED, SURFACE, SYSTEM_TEST
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.geometry.transforms import unpack
@@ -39,7 +40,7 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.system_test import SystemTest, Tested
 from sms_jobs.records.views import view_of
 
-_SHAPES = surface_port("shape", several=True)
+_SHAPES = surface_port(SHAPE, several=True)
 _RIG = Port("calibration", CALIBRATION, (CALIBRATED,))
 _RIM_PX = 3
 """Of a plate, that sees its edge."""

@@ -20,6 +20,7 @@ from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.deformation.textured_state import read_texture
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Need, Output, Progress, Scope
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import SHAPE
 from sms_jobs.kinds.products import ALIGNMENT, SURFACE, Product
 from sms_jobs.kinds.shape.camera_views import cameras
 from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance, state_ports
@@ -96,7 +97,7 @@ class AlignParameters(ViewsParameters):
     maximum_sigma_px: float = Field(0.1, gt=0.0, description="largest standard deviation of a match")
 
 
-_AT_REST = state_ports("shape", "texture", several=True)
+_AT_REST = state_ports(SHAPE, "texture", several=True)
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: AlignParameters) -> Iterable[Need]:

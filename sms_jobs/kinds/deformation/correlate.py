@@ -47,6 +47,7 @@ from sms_jobs.kinds.kind import (
     tested_states,
 )
 from sms_jobs.kinds.point_matches import match_statistics, summary
+from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, REGIONS, Product
 from sms_jobs.kinds.resolution import resolution_statistics
 from sms_jobs.kinds.surface_ports import state_ports
@@ -67,7 +68,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
-_REFERENCE = state_ports("reference", "reference_measurement")
+_REFERENCE = state_ports(AT_REST, FRAMES_AT_REST)
 _DEFORMED = state_ports("deformed", "measurement")
 _BEFORE = state_ports("previous_shape", "previous_measurement")
 _MATCHED_BEFORE = Port("previous", "correlate", (MATCHES,))

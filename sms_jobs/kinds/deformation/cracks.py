@@ -20,6 +20,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CRACKS, DISPLACEMENT, REGIONS, SURFACE
 from sms_jobs.kinds.surface_ports import bias_in_space, surface_port
 from sms_jobs.metrology.deformation.cracks import opening
@@ -41,8 +42,8 @@ class CracksParameters(Parameters):
     spacing_px: int = Field(10, ge=1, le=1000, description="distance of the points along a crack")
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS))
-_REFERENCE = surface_port("reference")
+_MOVED = Port(MOVED, "correlate", (DISPLACEMENT, REGIONS))
+_REFERENCE = surface_port(AT_REST)
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: CracksParameters) -> Iterable[Need]:

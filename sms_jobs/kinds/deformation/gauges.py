@@ -24,6 +24,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, GAUGES, REGIONS, SURFACE
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
@@ -75,8 +76,8 @@ class GaugesParameters(Parameters):
         return gauges
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
-_REFERENCE = surface_port("reference")
+_MOVED = Port(MOVED, "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
+_REFERENCE = surface_port(AT_REST)
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: GaugesParameters) -> Iterable[Need]:

@@ -24,6 +24,7 @@ from sms_jobs.kinds.kind import (
     every_deformed_state,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import (
     CALIBRATION_FACTOR,
     DISPLACEMENT,
@@ -72,9 +73,9 @@ class MergeParameters(Parameters):
     )
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR), several=True)
+_MOVED = Port(MOVED, "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR), several=True)
 _STRAINED = Port("strain", "strain", (STRAIN,), several=True)
-_REFERENCE = surface_port("reference", several=True)
+_REFERENCE = surface_port(AT_REST, several=True)
 
 
 @dataclass(frozen=True)

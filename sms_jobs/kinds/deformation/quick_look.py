@@ -33,6 +33,7 @@ from sms_jobs.kinds.kind import (
     is_deformed,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, SURFACE, UNCERTAINTY, Product
 from sms_jobs.kinds.shape.sparse_surface import sparse_surface, with_regions
 from sms_jobs.kinds.shape.textures import white_texture
@@ -119,8 +120,8 @@ class Compared:
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED, RECORDED))
 _CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED, UNCERTAINTY))
-_REFERENCE = Port("reference", "quick-look", (SURFACE,))
-_REFERENCE_FRAMES = Port("reference_measurement", MEASUREMENT, (MEASURED,))
+_REFERENCE = Port(AT_REST, "quick-look", (SURFACE,))
+_REFERENCE_FRAMES = Port(FRAMES_AT_REST, MEASUREMENT, (MEASURED,))
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: QuickLookParameters) -> Iterable[Need]:

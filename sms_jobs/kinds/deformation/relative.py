@@ -27,6 +27,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MOTION, RELATIVE, SURFACE
 from sms_jobs.kinds.surface_ports import surface_port
 from sms_jobs.metrology.deformation.fields.rigid_motion import RigidMotion, rigid_motion, with_motion
@@ -67,8 +68,8 @@ class RelativeParameters(Parameters):
         return text
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, CALIBRATION_FACTOR))
-_REFERENCE = surface_port("reference")
+_MOVED = Port(MOVED, "correlate", (DISPLACEMENT, CALIBRATION_FACTOR))
+_REFERENCE = surface_port(AT_REST)
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: RelativeParameters) -> Iterable[Need]:

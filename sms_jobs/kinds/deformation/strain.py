@@ -24,6 +24,7 @@ from sms_jobs.kinds.kind import (
     deformed_views,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.resolution import extent_of_pixels, resolution_statistics
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
@@ -70,8 +71,8 @@ class StrainParameters(Parameters):
     )
 
 
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
-_REFERENCE = surface_port("reference")
+_MOVED = Port(MOVED, "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
+_REFERENCE = surface_port(AT_REST)
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: StrainParameters) -> Iterable[Need]:

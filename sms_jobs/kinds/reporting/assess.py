@@ -25,6 +25,7 @@ from sms_jobs.kinds.kind import (
     tuples,
 )
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.port_names import MOVED, SHAPE
 from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port, textured_by
 from sms_jobs.records.assessment import Assessment, Errors
@@ -52,9 +53,9 @@ def simulated_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
-_SHAPE = surface_port("shape")
+_SHAPE = surface_port(SHAPE)
 _REFERENCE = Port("reference", MEASUREMENT, (MEASURED,))
-_MOVED = Port("displacement", "correlate", (DISPLACEMENT,))
+_MOVED = Port(MOVED, "correlate", (DISPLACEMENT,))
 _STRAINED = Port("strain", "strain", (STRAIN,))
 
 

@@ -12,6 +12,7 @@ from sms_jobs.discovery import declared
 from sms_jobs.formats.report.page import Section
 from sms_jobs.formats.report.view import Sampler, View
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
+from sms_jobs.kinds.port_names import MOVED, SHAPE
 from sms_jobs.kinds.products import (
     ASSESSMENT,
     CALIBRATED,
@@ -30,8 +31,8 @@ from sms_jobs.records.subject import Subject
 
 CALIBRATION_SHOWN = Port("calibration", CALIBRATION, (CALIBRATED, QUALITY))
 RECORDINGS = Port("measurement", MEASUREMENT, (MEASURED, RECORDED), several=True)
-SURFACES = surface_port("shape", several=True)
-DISPLACEMENTS = Port("displacement", "correlate", (REGIONS,), several=True)
+SURFACES = surface_port(SHAPE, several=True)
+DISPLACEMENTS = Port(MOVED, "correlate", (REGIONS,), several=True)
 STRAINS = Port("strain", "strain", (STRAIN,), several=True)
 MERGED_STATES = Port("merged", "merge", (MERGED,), several=True)
 GAUGES_READ = Port("gauges", "gauges", (GAUGES,), several=True)

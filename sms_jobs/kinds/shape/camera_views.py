@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import Inputs, Need
+from sms_jobs.kinds.port_names import SHAPE
 from sms_jobs.kinds.products import SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.deformation.joining.merging import merge_by_variance
@@ -54,7 +55,7 @@ def cameras(campaign: Campaign, subject: Subject) -> dict[str, tuple[str, ...]]:
     return {camera: views for camera, views in campaign.views_by_camera().items() if camera not in alone}
 
 
-SHAPES = surface_port("shape", several=True)
+SHAPES = surface_port(SHAPE, several=True)
 
 
 def cloud_needs(campaign: Campaign, subject: Subject) -> Iterable[Need]:

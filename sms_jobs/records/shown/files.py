@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.input_roles import port_of
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import is_view, view_of
 
@@ -86,6 +87,11 @@ class Ancestor:
     inputs: tuple[Ancestor, ...]
     told: bool
     more: bool
+
+    @property
+    def port(self) -> str:
+        """Name of the port at which it came in."""
+        return port_of(self.role)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,10 @@
+"""Names of ports that several kinds have, by which the history of a result tells what it lies on."""
+
+AT_REST = "reference"
+"""Where the surface of the reference state comes in, over whose pixels the result lies."""
+FRAMES_AT_REST = "reference_measurement"
+"""Where the frames of that state come in."""
+SHAPE = "shape"
+"""Where the surface of a state itself comes in."""
+MOVED = "displacement"
+"""Where the displacement comes in that the result was made of."""
