@@ -186,13 +186,13 @@ class Inputs:
     def has(self, port: Port, product: Product[Any] | None = None, about: Subject | None = None) -> bool:
         """Say whether there is an input at a port, and in it a record."""
         found = self.datasets.get(port.role(about or self.subject))
-        return found is not None and (product is None or product.stored_as in found.names)
+        return found is not None and (product is None or product.is_in(found))
 
     def read(self, port: Port, product: Product[R], about: Subject | None = None) -> R:
         """Read a record of what is at a port; of a port with several, of what is about a subject."""
         if product.any_key not in port.products:
             raise TypeError(f"port {port.name} does not declare that {product.stored_as} is read")
-        return self.datasets[port.role(about or self.subject)].read(product.stored_as, product.record)
+        return product.read(self.datasets[port.role(about or self.subject)])
 
     def about(self, port: Port) -> tuple[Subject, ...]:
         """Return what the inputs at a port with several are about, in the order of the needs."""

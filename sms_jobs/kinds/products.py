@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.assessment import Assessment
@@ -26,11 +26,15 @@ from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.quick_look import QuickLook
+from sms_jobs.records.record_names import RecordName
 from sms_jobs.records.recording import FramesBetween, InterruptedRecording, Recording
 from sms_jobs.records.rigid_motion import RegionMotion
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceRegistration
 from sms_jobs.records.system_test import SystemTest
+
+if TYPE_CHECKING:
+    from sms_jobs.kinds.kind import Dataset
 
 R = TypeVar("R")
 
@@ -56,7 +60,7 @@ class Product(Generic[R]):
     @property
     def stored_as(self) -> str:
         """The name of the record in the file."""
-        return f"{self.name}_{self.key}" if self.key else self.name
+        return str(RecordName(self.name, self.key))
 
     @property
     def any_key(self) -> Product[R]:
@@ -73,8 +77,20 @@ class Product(Generic[R]):
 
     def among(self, names: Iterable[str]) -> tuple[Product[R], ...]:
         """Return those of this name that a file with records of some names has, in its order."""
-        parted = [name.partition("_") for name in names]
-        return tuple(self.of(key) for name, _, key in parted if name == self.name)
+        parsed = map(RecordName.parse, names)
+        return tuple(self.of(one.key) for one in parsed if one.name == self.name)
+
+    def is_in(self, dataset: Dataset) -> bool:
+        """Say whether a file has it."""
+        return self.stored_as in dataset.names
+
+    def read(self, dataset: Dataset) -> R:
+        """Read it from a file that has it; raises as the file does."""
+        return dataset.read(self.stored_as, self.record)
+
+    def read_if_there(self, dataset: Dataset) -> R | None:
+        """Read it from a file; None where that has none."""
+        return self.read(dataset) if self.is_in(dataset) else None
 
 
 MEASURED = Product("measurement", Measurement)

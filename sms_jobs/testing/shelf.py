@@ -11,6 +11,7 @@ import numpy as np
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DatasetOutput, Inputs, Kind
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.kinds.products import CALIBRATED, MEASURED
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.surface_ports import maker_of, textured_by
 from sms_jobs.records.campaign import Campaign, LoadState
@@ -48,9 +49,11 @@ class Shelf:
         self.run(simulate.KIND, at, simulate.KIND.parameters())
         every = tuple(replace(at, view=view) for view in self.campaign.recordings)
         for own in subject.recordings if subject.view else every:
-            recorded: Measurement = self.records[MEASUREMENT, own]["measurement"]
+            recorded: Measurement = self.records[MEASUREMENT, own][MEASURED.stored_as]
             frames = np.stack([recorded.frames.frame(i) for i in range(recorded.frames.shape[0])])
-            self.records[MEASUREMENT, own] = {"measurement": replace(recorded, frames=ArrayStack(frames))}
+            self.records[MEASUREMENT, own] = {
+                MEASURED.stored_as: replace(recorded, frames=ArrayStack(frames))
+            }
 
     def forget(self, state: str) -> None:
         """Drop all that has been recorded and computed of a state."""
@@ -59,14 +62,15 @@ class Shelf:
 
     def shape(self, subject: Subject) -> Shape:
         """Return the exact shape at a recorded state."""
-        recorded = self.records[MEASUREMENT, textured_by(subject)]["measurement"]
+        recorded = self.records[MEASUREMENT, textured_by(subject)][MEASURED.stored_as]
         return exact_shape(recorded.simulation, view_of(subject.view).partners, threads=self.threads)
 
     def truth(self, subject: Subject) -> Truth:
         """Return what is exactly true between the reference state and a recorded one."""
         at_rest = replace(subject, state=self.campaign.reference.label)
         first, last = (
-            self.records[MEASUREMENT, textured_by(s)]["measurement"].simulation for s in (at_rest, subject)
+            self.records[MEASUREMENT, textured_by(s)][MEASURED.stored_as].simulation
+            for s in (at_rest, subject)
         )
         return exact_truth(first, last, view_of(subject.view).partners, threads=self.threads)
 
@@ -104,7 +108,7 @@ def state_by_state(
         shelf.record(at)
         for view in campaign.views:
             subject, maker = replace(at, view=view), all_kinds()[maker_of(view).kind]
-            shelf.records[CALIBRATION, subject] = {"calibration": calibration}
+            shelf.records[CALIBRATION, subject] = {CALIBRATED.stored_as: calibration}
             shelf.run(maker, subject, maker.parameters())
             for kind, parameters in () if at_rest else chain:
                 shelf.run(kind, subject, parameters)
@@ -130,7 +134,7 @@ def reconstructed(
     for label in (campaign.reference.label, *deformed):
         subject = Subject(campaign.name, label, campaign.views[0])
         say(f"recording and measuring {subject}")
-        shelf.records[CALIBRATION, subject] = {"calibration": calibration}
+        shelf.records[CALIBRATION, subject] = {CALIBRATED.stored_as: calibration}
         shelf.record(subject)
         shelf.run(kind, subject, kind.parameters())
     return shelf, Subject(campaign.name, deformed[-1], campaign.views[0])

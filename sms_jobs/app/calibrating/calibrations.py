@@ -322,13 +322,13 @@ def export(services: Services, number: int, style: str, *, pixel_pitch_um: float
     """
     # OpenCV writes the files; no other function here needs it.
     from sms_jobs.formats.interchange.calibration_files import calibration_text
-    from sms_jobs.records.sensors import Calibration
+    from sms_jobs.kinds.products import CALIBRATED
 
     chosen = _checked_style(style)
     with services.catalogue.reading() as session:
         view = search.calibration_view(session, number)
     with services.archive.open(view) as dataset:
-        calibration = dataset.read("calibration", Calibration)
+        calibration = CALIBRATED.read(dataset)
     text, remarks = calibration_text(calibration, chosen, pixel_pitch_um / 1000.0)
     return CalibrationText(text, remarks)
 

@@ -265,11 +265,12 @@ def _texture(dataset: ArchivedDataset, record: Any) -> Any:
     """Return the mean brightness beside a cloud, 1 at its largest; None where the file has none."""
     import numpy as np
 
-    from sms_jobs.records.fields import Mesh, PhaseMaps
+    from sms_jobs.kinds.products import PHASE
+    from sms_jobs.records.fields import Mesh
 
-    if "phase" not in dataset.names or isinstance(record, Mesh) or not hasattr(record, "position"):
+    if not PHASE.is_in(dataset) or isinstance(record, Mesh) or not hasattr(record, "position"):
         return None
-    mean = dataset.read("phase", PhaseMaps).mean_intensity
+    mean = PHASE.read(dataset).mean_intensity
     return None if mean.shape != record.position.shape[1:] else mean / max(float(np.nanmax(mean)), 1e-9)
 
 

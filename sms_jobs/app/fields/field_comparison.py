@@ -18,7 +18,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
 from sms_jobs.kinds.products import MESH
 from sms_jobs.metrology.geometry.planes import in_space
-from sms_jobs.records.fields import SIGMA_CALIBRATION, Mesh
+from sms_jobs.records.fields import SIGMA_CALIBRATION
 from sms_jobs.records.people import Right
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -181,7 +181,7 @@ def _merged(services: Services, key: str) -> _Measured:
     if view.source not in ("merge", "combine"):
         raise InvalidInput(f"file {key} is a {view.source}; choose a merged or combined result of a state")
     with services.archive.open(view) as dataset:
-        meshes = [dataset.read(one.stored_as, Mesh) for one in MESH.among(dataset.names)]
+        meshes = [one.read(dataset) for one in MESH.among(dataset.names)]
     in_mm = [mesh for mesh in meshes if mesh.unit == "mm"]
     if not in_mm:
         raise InvalidInput(

@@ -80,12 +80,12 @@ def gauge_at(services: Services, key: str, gauge: str, *, part: str | None = Non
         subject = moved.in_campaign()
         campaign = campaigns.definition(campaigns.campaign_row(session, subject.campaign))
     with services.archive.open(moved) as dataset, services.archive.open(shape) as at_rest:
-        known = all(product.stored_as in dataset.names for product in OF_BOTH)
-        states = states_from(*(dataset.read(one.stored_as, one.record) for one in OF_BOTH)) if known else None
+        known = all(product.is_in(dataset) for product in OF_BOTH)
+        states = states_from(*(product.read(dataset) for product in OF_BOTH)) if known else None
         found = read_gauges(
-            dataset.read(DISPLACEMENT.stored_as, DISPLACEMENT.record),
-            dataset.read(REGIONS.stored_as, REGIONS.record),
-            at_rest.read(SURFACE.stored_as, SURFACE.record),
+            DISPLACEMENT.read(dataset),
+            REGIONS.read(dataset),
+            SURFACE.read(at_rest),
             states,
             frame_of_gauges(campaign, subject),
             parameters,

@@ -17,6 +17,7 @@ from sms_jobs.catalogue import family, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds.port_names import AT_REST, MOVED, SHAPE
 from sms_jobs.records.people import Right
+from sms_jobs.records.record_names import RecordName
 from sms_jobs.records.shown.files import FileView
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def _parts(services: Services, file: FileView) -> dict[str, list[Placed]]:
     parts: dict[str, list[Placed]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     for record, arrays in described.items():
-        part = record.partition("_")[2]
+        part = RecordName.parse(record).key
         for shown in shown_of(record, arrays):
             array = arrays[shown.values.sources[0][0]]
             size = (array["shape"][-2], array["shape"][-1])

@@ -18,8 +18,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds.port_names import AT_REST
-from sms_jobs.records.fields import Surface
-from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.kinds.products import GAUGES, SURFACE
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
 from sms_jobs.records.subject import Subject
@@ -133,7 +132,7 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
     for subject, file in sorted(newest.items()):
         about = Subject.parse(subject)
         with services.archive.open(file) as dataset:
-            found = dataset.read("gauges", GaugeReadings)
+            found = GAUGES.read(dataset)
         common = found.sigma_calibration
         for number, (name, strain, sigma, pixels) in enumerate(
             zip(found.names, found.strain, found.sigma, found.pixels, strict=True)
@@ -247,7 +246,8 @@ def section(
         name = record or dataset.names[0]
         read: Any = dataset.read(name, dataset.record_class(name))
         values = named_field(read, field)
-        own = dataset.read("surface", Surface).position if "surface" in dataset.names else values.position
+        lies = SURFACE.read_if_there(dataset)
+        own = values.position if lies is None else lies.position
     if own is None and not view.in_plane:
         own = _shape_of(services, parents, file)
     flat = own is None or len(own) == 2
@@ -284,7 +284,7 @@ def _shape_of(services: Services, parents: Sequence[Ancestor], file: str) -> np.
     if len(shapes) != 1:
         raise InvalidInput(f"file {file} does not say where its pixels are; choose a result of a view")
     with services.archive.open(shapes[0]) as dataset:
-        return dataset.read("surface", Surface).position
+        return SURFACE.read(dataset).position
 
 
 def _plain(value: float) -> float | None:

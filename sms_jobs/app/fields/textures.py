@@ -14,7 +14,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.measurement import Measurement
+from sms_jobs.kinds.products import MEASURED
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def measured_image(services: Services, key: str) -> Image:
     if view.source != "measurement":
         raise InvalidInput(f"file {key} is a {view.source}, which has no texture; choose a measurement")
     with services.archive.open(view) as dataset:
-        measurement = dataset.read("measurement", Measurement)
+        measurement = MEASURED.read(dataset)
     mean = float(_middle(measurement.texture).astype(np.float64).mean())
     noise = float(np.sqrt(measurement.read_noise**2 + measurement.gain * mean))
     return Image(key, measurement.texture, float(measurement.full_scale), noise)

@@ -133,12 +133,12 @@ def picture(
 
 def _reference_image(services: Services, inputs: Iterable[Ancestor]) -> Any:
     """Return the texture that a result in an image started from; None where it is not in the archive."""
-    from sms_jobs.records.measurement import Measurement
+    from sms_jobs.kinds.products import MEASURED
 
     for one in inputs:
         if one.port == FRAMES_AT_REST:
             with services.archive.open(one.file) as dataset:
-                return dataset.read("measurement", Measurement).texture
+                return MEASURED.read(dataset).texture
         found = _reference_image(services, one.inputs)
         if found is not None:
             return found

@@ -22,6 +22,7 @@ from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
 from sms_jobs.jobs.results.turned import is_turned_file
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.people import Right
+from sms_jobs.records.record_names import RecordName
 from sms_jobs.records.shown.files import FileView
 from sms_jobs.records.subject import Subject
 
@@ -107,7 +108,7 @@ def _newest_first(session: Session, sources: Iterable[str], about: Subject) -> l
 
 def _with_record(name: str) -> set[str]:
     """Return what makes files that have a record of a name, with a key behind it or without."""
-    stems = {name, name.partition("_")[0]}
+    stems = {name, RecordName.parse(name).name}
     return {
         kind.makes or kind.name
         for kind in all_kinds().values()

@@ -32,9 +32,9 @@ from sms_jobs.formats.importers.inspection import (
 from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layout
 from sms_jobs.jobs.archiving.importing import amend_campaign, import_measurement, known_of, with_states
 from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.kinds.products import CALIBRATED
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.people import Right
-from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -273,7 +273,7 @@ class _Import:
         if not views:
             return []
         with self.services.archive.open(views[0]) as dataset:
-            sensors = {s.name: s for s in dataset.read("calibration", Calibration).rig.sensors}
+            sensors = {s.name: s for s in CALIBRATED.read(dataset).rig.sensors}
         remarks: dict[str, None] = {}
         for one in good:
             camera = view_of(one.found.view).camera

@@ -104,12 +104,10 @@ def _newest(services: Services, prefix: str) -> _Newest:
 def _sealed(services: Services, job: str, file: FileView) -> _Newest:
     """Return the last frame of a measurement: that in white light, or the image of a camera alone."""
     from sms_jobs.kinds.products import MEASURED, RECORDED
-    from sms_jobs.records.measurement import Measurement
-    from sms_jobs.records.recording import Recording
 
     with services.archive.open(file) as dataset:
-        measured = dataset.read(MEASURED.stored_as, Measurement)
-        recording = dataset.read(RECORDED.stored_as, Recording)
+        measured = MEASURED.read(dataset)
+        recording = RECORDED.read(dataset)
     frames = len(recording.times_s)
     taken_at = measured.recorded_at + timedelta(seconds=float(recording.times_s[-1]))
     view = Subject.parse(file.subject).view or ""

@@ -181,9 +181,8 @@ def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> Speci
     about = Subject(campaign.name, campaign.reference.label, view)
     found = reading.newest_file(services, str(about), SURFACE.name).file
     with services.archive.open(found) as dataset:
-        surface = dataset.read(SURFACE.stored_as, SURFACE.record)
-        stated = CALIBRATION_FACTOR.stored_as in dataset.names
-        factor = dataset.read(CALIBRATION_FACTOR.stored_as, CALIBRATION_FACTOR.record) if stated else None
+        surface = SURFACE.read(dataset)
+        factor = CALIBRATION_FACTOR.read_if_there(dataset)
     known_by = None if factor is None else known_view(factor)
     image = _texture(services, about) if choice.markers else None
     return Finder(surface, known_by, image, choice).frame(found.content_hash)
@@ -197,4 +196,4 @@ def _texture(services: Services, about: Subject) -> NDArray[np.generic]:
 
     recorded = reading.newest_file(services, str(textured_by(about)), MEASURED.name).file
     with services.archive.open(recorded) as dataset:
-        return dataset.read(MEASURED.stored_as, MEASURED.record).texture
+        return MEASURED.read(dataset).texture

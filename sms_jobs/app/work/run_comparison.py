@@ -24,7 +24,6 @@ from sms_jobs.jobs.asking import run_changes, runs
 from sms_jobs.jobs.asking.runs import Member, Members
 from sms_jobs.kinds.products import GAUGES
 from sms_jobs.metrology.deformation.fields.changes import Change, change_of, sigma_of_difference
-from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.job import SHORT_ID
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.runs import Difference, RunComparison, RunResult
@@ -282,7 +281,7 @@ def _read_gauges(services: Services, number: int) -> dict[str, tuple[NDArray[Any
     with services.catalogue.reading() as session:
         file = search.file_view(session, str(number))
     with services.archive.open(file) as dataset:
-        found = dataset.read(GAUGES.stored_as, GaugeReadings)
+        found = GAUGES.read(dataset)
     strain, sigma = _MICROSTRAIN * found.strain, _MICROSTRAIN * found.sigma
     return {name: (strain[k : k + 1], sigma[k : k + 1]) for k, name in enumerate(found.names)}
 

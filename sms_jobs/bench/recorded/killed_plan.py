@@ -27,10 +27,10 @@ from sms_jobs.instruments.kept_sets import kept
 from sms_jobs.instruments.spool import Spooled
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.products import INTERRUPTED, MEASURED
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import JobState
-from sms_jobs.records.measurement import FringeSequence, Measurement
-from sms_jobs.records.recording import InterruptedRecording
+from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.units import typed
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -267,10 +267,9 @@ class KilledPlan:
         whole = interrupted = 0
         for path in made:
             with services.archive.open_unrecorded(path) as dataset:
-                whole += dataset.read("measurement", Measurement).frames.shape[0]
-                for name in dataset.describe():
-                    if name.startswith("interrupted"):
-                        interrupted += len(dataset.read(name, InterruptedRecording).numbers)
+                whole += MEASURED.read(dataset).frames.shape[0]
+                for product in INTERRUPTED.among(dataset.names):
+                    interrupted += len(product.read(dataset).numbers)
         self._day.delivered += SEQUENCE.frames + broke_off
         self._day.lost += max(SEQUENCE.frames - whole, 0) + max(broke_off - interrupted, 0)
 

@@ -22,10 +22,10 @@ from sms_jobs.catalogue.models import FileRow, LoadStateRow
 from sms_jobs.errors import ServerUnreachable, SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.kinds.products import MEASURED, RECORDED
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.gauge_limits import GaugeLimit, Look
-from sms_jobs.records.measurement import FringeSequence, Measurement
-from sms_jobs.records.recording import Recording
+from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Rigid, Speckle, UniaxialStrain
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.records.shown.quick_looks import QuickLookView
@@ -157,5 +157,5 @@ def _last_frame(services: Services, label: str) -> datetime:
             .where(FileRow.source == MEASUREMENT, LoadStateRow.label == label)
         ).one()
     with services.archive.open_unrecorded(path) as dataset:
-        times = dataset.read("recording", Recording).times_s
-        return dataset.read("measurement", Measurement).recorded_at + timedelta(seconds=float(times[-1]))
+        times = RECORDED.read(dataset).times_s
+        return MEASURED.read(dataset).recorded_at + timedelta(seconds=float(times[-1]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from sqlalchemy.orm import Session
@@ -19,6 +18,7 @@ from sms_jobs.jobs.archiving import calibration_choice
 from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.kinds.calibration.session_adjustment import known_as
 from sms_jobs.kinds.calibration.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
+from sms_jobs.kinds.products import CALIBRATED, PHASE, QUALITY, SURFACE, UNCERTAINTY
 from sms_jobs.kinds.shape.phases import sensor_pair
 from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison, compare_calibrations
 from sms_jobs.metrology.calibration.checking.drift import DriftCheck, DriftOptions, check_drift
@@ -65,15 +65,12 @@ def known_calibration(catalogue: Catalogue, archive: Archive, number: int) -> Kn
 
 
 def _known(number: int | None, path: str, dataset: ArchivedDataset) -> KnownCalibration:
-    def read(name: str, record: type[Any]) -> Any:
-        return dataset.read(name, record) if name in dataset.names else None
-
     return KnownCalibration(
         number,
         path,
-        dataset.read("calibration", Calibration),
-        read("uncertainty", CalibrationUncertainty),
-        read("quality", CalibrationQuality),
+        CALIBRATED.read(dataset),
+        UNCERTAINTY.read_if_there(dataset),
+        QUALITY.read_if_there(dataset),
     )
 
 
@@ -151,7 +148,7 @@ def certify(
         calibration,
         now,
         inputs=(InputReference("session", file.source, file.path, file.content_hash),),
-        beside={"uncertainty": found.uncertainty, "quality": found.quality},
+        beside={UNCERTAINTY: found.uncertainty, QUALITY: found.quality},
         accepted=True,
     )
     return known.number, known.new, calibration
@@ -290,7 +287,7 @@ def check(
         view, number = search.file_view(session, str(shape)), used.number
     known = known_calibration(catalogue, archive, number)
     with archive.open(view) as dataset:
-        phase, cloud = dataset.read("phase", PhaseMaps), dataset.read("surface", Surface)
+        phase, cloud = PHASE.read(dataset), SURFACE.read(dataset)
     return CalibrationCheck(
         str(subject),
         number,

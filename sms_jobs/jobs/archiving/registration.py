@@ -23,6 +23,7 @@ from sms_jobs.jobs.archiving.repository import Repository, brought_in
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.parameters import checked_parameters
+from sms_jobs.kinds.products import CALIBRATED, Product
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.subject import RESERVED_NAME, Subject
@@ -92,7 +93,7 @@ def register_calibration(
     now: datetime,
     *,
     inputs: tuple[InputReference, ...] = (),
-    beside: Mapping[str, Any] | None = None,
+    beside: Mapping[Product[Any], Any] | None = None,
     accepted: bool = False,
 ) -> Registered:
     """Add a calibration of a rig: one that was made elsewhere, or the result of a session.
@@ -118,7 +119,8 @@ def register_calibration(
         decisions.refuse_other_sensors(session, calibration.rig)
         accepted = accepted or not decisions.has_one(session, calibration.rig.name)
     with Repository(catalogue, archive).batch() as batch:
-        records = {CALIBRATION: calibration, **(beside or {})}
+        others = {product.stored_as: record for product, record in (beside or {}).items()}
+        records = {CALIBRATED.stored_as: calibration, **others}
         made = batch.seal(records, _brought(calibration, now, inputs)).sealed
         if accepted:
             acceptance = Acceptance(calibration.rig.name, made.content_hash)

@@ -84,7 +84,7 @@ def _new_campaigns(
         if path.split("/", 1)[0] not in registered and _is_whole(brought, path, checker):
             try:
                 with brought.open_unrecorded(path) as dataset:
-                    yield dataset.read("campaign", CampaignDefinition).campaign
+                    yield dataset.read(CAMPAIGN, CampaignDefinition).campaign
             except SmsError:
                 continue  # it is judged and reported in its turn
 

@@ -97,7 +97,7 @@ class PastDefinitions:
 
     def _read(self, path: str, since: datetime) -> Definition:
         with self._archive.open_unrecorded(path) as dataset:
-            return Definition(path, since, dataset.read("campaign", CampaignDefinition).campaign)
+            return Definition(path, since, dataset.read(CAMPAIGN, CampaignDefinition).campaign)
 
     def _entered_of(self, session: Session, name: str) -> list[Definition]:
         """Return what the catalogue knew of a campaign before, and what was found since, by time."""

@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse
 from sms_jobs.app.holdings import archive, files, finding
 from sms_jobs.app.specimens import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.record_names import RecordName
 from sms_jobs.records.shown.files import Page as Found
 from sms_jobs.web.console import Entry, Page, Pages
 from sms_jobs.web.lineage import drawn
@@ -65,7 +66,7 @@ def show(page: Page, key: int) -> HTMLResponse:
         "file.html",
         file=described.file,
         described=described,
-        pictured=any(name.partition("_")[0] in PICTURED for name in described.records),
+        pictured=any(RecordName.parse(name).name in PICTURED for name in described.records),
         lineage=drawn(files.tree(services, str(key))),
         down=files.tree(services, str(key), down=True).inputs,
     )
