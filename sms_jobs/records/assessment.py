@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.records.fields import VECTOR_IMAGE
-from sms_jobs.records.quantity import array
+from sms_jobs.records.quantity import STRAIN_COMPONENTS, array
 
 Single = NDArray[np.float32]
 
@@ -62,5 +62,5 @@ class Assessment:
     shape_error: Single = array("mm", "length of the error of the position")
     displacement_error: Single | None = array("mm", "length of the error of the displacement", default=None)
     strain_error: Single | None = array(
-        "1", "error of the strain", VECTOR_IMAGE, ("xx", "yy", "xy"), default=None
+        "1", "error of the strain", VECTOR_IMAGE, STRAIN_COMPONENTS, default=None
     )

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.quantity import IMAGE, SYMMETRIC, UNIT, XYZ, Axes, LengthUnit, array
+from sms_jobs.records.quantity import IMAGE, STRAIN_COMPONENTS, SYMMETRIC, UNIT, XYZ, Axes, LengthUnit, array
 from sms_jobs.records.views import view_of
 
 Double = NDArray[np.float64]
@@ -262,13 +262,13 @@ class StrainField:
     measure: StrainMeasure
     unit: LengthUnit
     gauge_length: float
-    strain: Double = array("1", "strain", VECTOR_IMAGE, ("xx", "yy", "xy"))
-    sigma: Single = array("1", "standard deviation of the strain", VECTOR_IMAGE, ("xx", "yy", "xy"))
+    strain: Double = array("1", "strain", VECTOR_IMAGE, STRAIN_COMPONENTS)
+    sigma: Single = array("1", "standard deviation of the strain", VECTOR_IMAGE, STRAIN_COMPONENTS)
     principal: Double = array("1", "principal strains, larger first", VECTOR_IMAGE, ("first", "second"))
     von_mises: Double = array("1", "equivalent strain after von Mises")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     sigma_calibration: Single | None = array(
-        "1", _FROM_CALIBRATION, VECTOR_IMAGE, ("xx", "yy", "xy"), default=None
+        "1", _FROM_CALIBRATION, VECTOR_IMAGE, STRAIN_COMPONENTS, default=None
     )
     x_axis: Axis | None = None
     resolution_px: float | None = None
@@ -304,10 +304,6 @@ class MergedField:
     def has_depth(self) -> bool:
         """Whether it lies in space, not in the plane of an image."""
         return len(self.position) == len(XYZ)
-
-
-SIGMA_CALIBRATION = "sigma of displacement from the calibration"
-"""Name of a value of meshes, of those whose calibration says how well it is known."""
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,8 @@ IMAGE = ("row", "column")
 XYZ = ("X", "Y", "Z")
 SYMMETRIC = ("XX", "XY", "XZ", "YY", "YZ", "ZZ")
 """Order in which a symmetric 3 x 3 tensor is packed into six components."""
+STRAIN_COMPONENTS = ("xx", "yy", "xy")
+"""Of strain in the tangent plane of a surface."""
 _IN_PLANE = {XYZ: ("X", "Y"), SYMMETRIC: ("XX", "XY", "YY")}
 
 

@@ -18,7 +18,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
 from sms_jobs.kinds.products import MESH
 from sms_jobs.metrology.geometry.planes import in_space
-from sms_jobs.records.fields import SIGMA_CALIBRATION
+from sms_jobs.records.field_names import DISPLACEMENT_SIGMA, DISPLACEMENT_XYZ, SIGMA_CALIBRATION
 from sms_jobs.records.people import Right
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -190,8 +190,8 @@ def _merged(services: Services, key: str) -> _Measured:
         )
     mesh = in_mm[0]
     axes = _AXES if mesh.has_depth else _AXES[:2]
-    displacement = np.stack([mesh.value(f"displacement {axis}") for axis in axes])
+    displacement = np.stack([mesh.value(name) for name in DISPLACEMENT_XYZ[: len(axes)]])
     points = in_space(mesh.vertices.T).T
     common = mesh.value(SIGMA_CALIBRATION) if SIGMA_CALIBRATION in mesh.value_names else None
     field = PointField(points, in_space(displacement).T)
-    return _Measured(field, mesh.value("sigma of displacement"), common, len(axes))
+    return _Measured(field, mesh.value(DISPLACEMENT_SIGMA), common, len(axes))

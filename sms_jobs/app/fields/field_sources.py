@@ -16,6 +16,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import family, search
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds.port_names import AT_REST, MOVED, SHAPE
+from sms_jobs.records.field_names import DISPLACEMENT_LENGTH, DISPLACEMENT_XYZ, POSITION, POSITION_XYZ
 from sms_jobs.records.people import Right
 from sms_jobs.records.record_names import RecordName
 from sms_jobs.records.shown.files import FileView
@@ -65,16 +66,15 @@ class Fields:
     @property
     def position(self) -> tuple[str, ...] | None:
         """Names of the quantities that are X, Y, Z of the surface; None where it has none in space."""
-        return self._three("position")
+        return self._three(POSITION_XYZ)
 
     @property
     def movement(self) -> tuple[str, ...] | None:
         """Names of the quantities that are its displacement along X, Y, Z; None without."""
-        return self._three("displacement")
+        return self._three(DISPLACEMENT_XYZ)
 
-    def _three(self, stem: str) -> tuple[str, ...] | None:
-        found = tuple(f"{stem} {axis}" for axis in "XYZ")
-        return found if self.names.issuperset(found) else None
+    def _three(self, names: tuple[str, ...]) -> tuple[str, ...] | None:
+        return names if self.names.issuperset(names) else None
 
     def named(self, name: str) -> Placed:
         """Return a quantity; raise `NotFound` where there is none of that name."""
@@ -110,17 +110,17 @@ def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
         raise NotFound(f"file {key} has no part '{part}'; it has {', '.join(parts)}")
     chosen = part or next(iter(parts))
     placed = parts[chosen]
-    for stem, others in (
-        ("position", inputs_at(near, AT_REST, SHAPE)),
-        ("displacement", inputs_at(near, MOVED)),
+    for quantity, along_x, others in (
+        (POSITION, POSITION_XYZ[0], inputs_at(near, AT_REST, SHAPE)),
+        (DISPLACEMENT_LENGTH, DISPLACEMENT_XYZ[0], inputs_at(near, MOVED)),
     ):
-        if others and f"{stem} X" not in {one.shown.name for one in placed}:
-            placed = [*placed, *_lent(services, others[0], stem, placed)]
+        if others and along_x not in {one.shown.name for one in placed}:
+            placed = [*placed, *_lent(services, others[0], quantity, placed)]
     return Fields(file, chosen, tuple(parts), tuple(placed))
 
 
-def _lent(services: Services, other: FileView, stem: str, placed: list[Placed]) -> list[Placed]:
-    """Return what another file says of the same pixels."""
+def _lent(services: Services, other: FileView, quantity: str, placed: list[Placed]) -> list[Placed]:
+    """Return the components of a quantity that another file has of the same pixels."""
     if other.media_type != DATASET_MEDIA_TYPE:
         return []
     own = {one.shown.name for one in placed}
@@ -128,7 +128,10 @@ def _lent(services: Services, other: FileView, stem: str, placed: list[Placed]) 
     return [
         one
         for one in found
-        if one.shown.name.startswith(f"{stem} ") and one.size == placed[0].size and one.shown.name not in own
+        if one.shown.quantity == quantity
+        and one.shown.component is not None
+        and one.size == placed[0].size
+        and one.shown.name not in own
     ]
 
 

@@ -13,12 +13,12 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.field_names import DISPLACEMENT_IN_SPECIMEN, DISPLACEMENT_XYZ
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh, StrainField, Surface
 
 Floats: TypeAlias = NDArray[np.float64]
 
 _SAME_AXIS = 1e-9  # rounding; a turn of a millionth of a degree is more
-_DISPLACEMENT = tuple(f"displacement {axis}" for axis in "XYZ")
 
 
 def in_specimen_frame(record: Any, campaign: Campaign) -> Any:
@@ -119,11 +119,11 @@ def _merged(record: MergedField, placement: Pose) -> MergedField:
 def _mesh(record: Mesh, placement: Pose) -> Mesh:
     _refuse_other_axis(record.strain_axis, placement)
     names, values = list(record.value_names), record.values.copy()
-    if set(_DISPLACEMENT) <= set(names):
-        rows = [names.index(name) for name in _DISPLACEMENT]
+    if set(DISPLACEMENT_XYZ) <= set(names):
+        rows = [names.index(name) for name in DISPLACEMENT_XYZ]
         values[rows] = _vectors(placement, record.values[rows])
-        for row in rows:
-            names[row] = names[row].lower()
+        for row, name in zip(rows, DISPLACEMENT_IN_SPECIMEN, strict=True):
+            names[row] = name
     return replace(
         record,
         vertices=np.ascontiguousarray(_places(placement, record.vertices.T).T),

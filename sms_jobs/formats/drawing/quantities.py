@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.formats.report.surface import MICROSTRAIN, displacement_length, principal_sigma
+from sms_jobs.records.field_names import DISPLACEMENT_LENGTH, component
 
 Values: TypeAlias = NDArray[Any]
 Source: TypeAlias = tuple[str, int | None]
@@ -56,6 +57,8 @@ class Shown:
         Name of the record in its file.
     name, unit
         As they are shown; the unit of a ratio is "".
+    quantity
+        What it is a component of, as that is called; its own name where it has none.
     values, sigma
         How it is had, and its standard deviation; None where none is known.
     array, component, scale
@@ -67,6 +70,7 @@ class Shown:
     record: str
     name: str
     unit: str
+    quantity: str
     values: Reading
     sigma: Reading | None = None
     array: str | None = None
@@ -111,25 +115,30 @@ def _of_array(
     unit = "" if unit in ("1", "bit") else unit
     if array == "displacement" and "covariance" in arrays:
         yield _length(record, unit, count or 3, arrays["covariance"]["shape"][0])
-    for component in (None,) if count is None else range(count):
+    for place in (None,) if count is None else range(count):
+        name, quantity = _named(array, about["components"], place)
         yield Shown(
             record,
-            _named(array, about["components"], component),
+            name,
             unit,
-            Reading(((array, component),), _times(scale)),
-            _sigma_of(array, component, scale, arrays),
+            quantity,
+            Reading(((array, place),), _times(scale)),
+            _sigma_of(array, place, scale, arrays),
             array,
-            component,
+            place,
             scale,
             about["unit"] == "bit",
         )
 
 
-def _named(array: str, components: list[str], component: int | None) -> str:
-    if array == "principal" and component is not None:
-        return _PRINCIPAL[component]
-    name = _NAMES.get(array, array.replace("_", " "))
-    return name if component is None else f"{name} {components[component] if components else component}"
+def _named(array: str, components: list[str], place: int | None) -> tuple[str, str]:
+    """Return how a component of an array is called, and what it is one of."""
+    quantity = _NAMES.get(array, array.replace("_", " "))
+    if place is None:
+        return quantity, quantity
+    if array == "principal":
+        return _PRINCIPAL[place], quantity
+    return component(quantity, components[place] if components else str(place)), quantity
 
 
 def _times(scale: float) -> Callable[[Values], Values]:
@@ -171,8 +180,9 @@ def _length(record: str, unit: str, axes: int, covariances: int) -> Shown:
 
     return Shown(
         record,
-        "displacement",
+        DISPLACEMENT_LENGTH,
         unit,
+        DISPLACEMENT_LENGTH,
         Reading(moved, lambda *images: np.sqrt(sum(image**2 for image in images))),
         Reading((*moved, *spread), sigma),
     )

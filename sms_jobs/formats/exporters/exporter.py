@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.metrology.geometry.planes import in_space
+from sms_jobs.records.field_names import TEXTURE
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import Axes, LengthUnit
-
-TEXTURE = "texture"
-"""The value of a mesh that formats with colours show as grey: 0 is black, 1 the camera's full scale."""
 
 ROWS_AT_ONCE = 5_000
 """Points that are turned into bytes at once: a MiB or two, however many there are in all."""

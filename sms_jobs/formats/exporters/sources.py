@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter, PointGrid
+from sms_jobs.formats.exporters.exporter import Exporter, PointGrid
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.records.field_names import TEXTURE
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import QUANTITY, Axes, LengthUnit, Quantity, quantities_of
 

@@ -11,17 +11,21 @@ from numpy.typing import NDArray
 from sms_jobs.formats.report.view import Field, Sampler, Statistic, View
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.images.texture_quality import speckle_width
+from sms_jobs.records.field_names import (
+    DISPLACEMENT_LENGTH,
+    DISPLACEMENT_XYZ,
+    POSITION_XYZ,
+    STRAIN_VALUES,
+    TEXTURE,
+)
 from sms_jobs.records.fields import MergedField, Regions, StrainField, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
-from sms_jobs.records.quantity import SYMMETRIC, XYZ
+from sms_jobs.records.quantity import STRAIN_COMPONENTS, SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
 
 MICROSTRAIN = 1e6
 PER_CENT = 100.0
-
-POSITION = ("position X", "position Y", "position Z")
-MOVEMENT = ("displacement X", "displacement Y", "displacement Z")
 
 _LEAST_IMAGE_PX = 16
 _ROWS = 16
@@ -36,7 +40,7 @@ def reference_view(
     labels = regions.labels if regions is not None else None
     fields, statistics = _shape(surface, sampler) if surface.has_depth else ([], [])
     if measurement.texture.shape == surface.reason.shape:
-        fields.append(sampler.field("texture", "count", measurement.texture, still=True, outlines=labels))
+        fields.append(sampler.field(TEXTURE, "count", measurement.texture, still=True, outlines=labels))
         statistics += texture_statistics(measurement, valid if labels is None else labels > 0)
     if surface.ray_gap is not None:
         gap = surface.ray_gap
@@ -55,7 +59,7 @@ def reference_view(
         sampler.step_px,
         tuple(fields),
         (Statistic("valid", "%", PER_CENT * float(valid.mean())), *statistics),
-        POSITION if surface.has_depth else None,
+        POSITION_XYZ if surface.has_depth else None,
         mm_per_px=surface.mm_per_px,
         notes=notes,
     )
@@ -97,8 +101,8 @@ def _shape(surface: Surface, sampler: Sampler) -> tuple[list[Field], list[Statis
         part = surface.sigma_calibration[2]
         statistics.append(Statistic("sigma Z from the calibration, median", "mm", _median(part)))
     fields = []
-    for place, name in reversed(list(enumerate(POSITION))):
-        shown = name == POSITION[2]
+    for place, name in reversed(list(enumerate(POSITION_XYZ))):
+        shown = name == POSITION_XYZ[2]
         values, sigma = surface.position[place], deviation[place]
         fields.append(sampler.field(name, "mm", values, sigma, still=shown, still_sigma=shown))
     return fields, statistics
@@ -146,12 +150,12 @@ def deformed_view(
     deep = merged.has_depth
     title = f"{merged.camera} (displacement {', '.join(merged.views)}; strain {view})"
     fields = [
-        sampler.field("displacement", merged.unit, length, length_sigma, still=True, followed=True),
+        sampler.field(DISPLACEMENT_LENGTH, merged.unit, length, length_sigma, still=True, followed=True),
         *_components(merged, sampler),
         *_strain_fields(strain, sampler),
     ]
     if deep:
-        fields += [sampler.field(name, "mm", merged.position[k]) for k, name in enumerate(POSITION)]
+        fields += [sampler.field(name, "mm", merged.position[k]) for k, name in enumerate(POSITION_XYZ)]
     if merged.discrepancy is not None and len(merged.views) > 1:
         grain = _grain(length_sigma)
         fields.append(
@@ -172,8 +176,8 @@ def deformed_view(
             *_strain_statistics(strain),
             *gauge_statistics(gauges),
         ),
-        POSITION if deep else None,
-        MOVEMENT if deep else None,
+        POSITION_XYZ if deep else None,
+        DISPLACEMENT_XYZ if deep else None,
         mm_per_px=merged.mm_per_px,
         notes=(
             _method(strain, merged.mm_per_px),
@@ -185,12 +189,10 @@ def deformed_view(
 def _components(merged: MergedField, sampler: Sampler) -> list[Field]:
     """Return the components of the displacement; printed is that along Z, in a plane both."""
     deviations = np.sqrt(covariance_in_space(sampler.samples(merged.covariance))[_DIAGONAL])
-    printed = XYZ[2:] if merged.has_depth else XYZ[:2]
+    printed = DISPLACEMENT_XYZ[2:] if merged.has_depth else DISPLACEMENT_XYZ[:2]
     return [
-        replace(
-            sampler.field(f"displacement {axis}", merged.unit, values, still=axis in printed), sigma=sigma
-        )
-        for axis, values, sigma in zip(XYZ, merged.displacement, deviations, strict=False)
+        replace(sampler.field(name, merged.unit, values, still=name in printed), sigma=sigma)
+        for name, values, sigma in zip(DISPLACEMENT_XYZ, merged.displacement, deviations, strict=False)
     ]
 
 
@@ -251,10 +253,7 @@ def _strain_fields(field: StrainField, sampler: Sampler) -> list[Field]:
     strain = sampler.samples(field.strain, MICROSTRAIN).astype(np.float64)
     of_principal = principal_sigma(strain, sigma)
     known = [
-        *(
-            micro(f"strain {name}", field.strain[k], still=k == 0)
-            for k, name in enumerate(("xx", "yy", "xy"))
-        ),
+        *(micro(name, field.strain[k], still=k == 0) for k, name in enumerate(STRAIN_VALUES)),
         micro("first principal strain", field.principal[0], still=True, followed=True),
         micro("second principal strain", field.principal[1]),
     ]
@@ -327,7 +326,7 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
         *_resolution(field, group),
         *(
             Statistic(f"{name}, median", "µε", _micro(_median(field.strain[k])), group=group)
-            for k, name in enumerate(("xx", "yy", "xy"))
+            for k, name in enumerate(STRAIN_COMPONENTS)
         ),
         Statistic(
             "first principal, 99th percentile",

@@ -28,20 +28,24 @@ from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.field_names import (
+    DISPLACEMENT_LENGTH,
+    DISPLACEMENT_SIGMA,
+    DISPLACEMENT_XYZ,
+    STRAIN_VALUES,
+    sigma_of,
+)
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.subject import Subject
 
 Floats: TypeAlias = NDArray[np.float64]
 
-_DISPLACEMENT = tuple(f"displacement {axis}" for axis in "XYZ")
-_SIGMA = "sigma of displacement"
-_STRAIN = tuple(f"strain {component}" for component in ("xx", "yy", "xy"))
 _VALUES = (
-    *((name, "mm") for name in _DISPLACEMENT),
-    ("displacement", "mm"),
-    (_SIGMA, "mm"),
-    *((name, "1") for name in _STRAIN),
-    *((f"sigma of {name}", "1") for name in _STRAIN),
+    *((name, "mm") for name in DISPLACEMENT_XYZ),
+    (DISPLACEMENT_LENGTH, "mm"),
+    (DISPLACEMENT_SIGMA, "mm"),
+    *((name, "1") for name in STRAIN_VALUES),
+    *((sigma_of(name), "1") for name in STRAIN_VALUES),
     ("view", "1"),
     ("difference of views", "mm"),
 )
@@ -127,10 +131,10 @@ def _surface(mesh: Mesh) -> StrainedSurface:
     return StrainedSurface(
         mesh.vertices,
         mesh.faces,
-        np.stack([values[name] for name in _DISPLACEMENT]),
-        values[_SIGMA],
-        np.stack([values[name] for name in _STRAIN]),
-        np.stack([values[f"sigma of {name}"] for name in _STRAIN]),
+        np.stack([values[name] for name in DISPLACEMENT_XYZ]),
+        values[DISPLACEMENT_SIGMA],
+        np.stack([values[name] for name in STRAIN_VALUES]),
+        np.stack([values[sigma_of(name)] for name in STRAIN_VALUES]),
     )
 
 

@@ -49,8 +49,18 @@ from sms_jobs.metrology.deformation.strain.tangent_plane import principal_and_eq
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import SIGMA_CALIBRATION, Axis, DisplacementField, MergedField, Mesh, Surface
-from sms_jobs.records.quantity import SYMMETRIC, XYZ
+from sms_jobs.records.field_names import (
+    DISPLACEMENT_LENGTH,
+    DISPLACEMENT_SIGMA,
+    DISPLACEMENT_XYZ,
+    PRINCIPAL_STRAINS,
+    SIGMA_CALIBRATION,
+    STRAIN_VALUES,
+    VON_MISES,
+    sigma_of,
+)
+from sms_jobs.records.fields import Axis, DisplacementField, MergedField, Mesh, Surface
+from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
 
@@ -271,22 +281,19 @@ def _values(field: MergedField, strain: Merged) -> list[tuple[str, str, Floats]]
     """Return what is known of every pixel of a camera: names, units and (rows, columns)."""
     sigma = np.sqrt(covariance_in_space(field.covariance)[_DIAGONAL].sum(axis=0, dtype=np.float64))
     principal, von_mises = principal_and_equivalent(strain.value)
-    components = list(
-        zip(("xx", "yy", "xy"), strain.value, np.sqrt(strain.covariance[_DIAGONAL]), strict=True)
-    )
+    strains = list(zip(STRAIN_VALUES, strain.value, np.sqrt(strain.covariance[_DIAGONAL]), strict=True))
     return [
         *(
-            (f"displacement {axis}", field.unit, value)
-            for axis, value in zip(XYZ, field.displacement, strict=False)
+            (name, field.unit, value)
+            for name, value in zip(DISPLACEMENT_XYZ, field.displacement, strict=False)
         ),
-        ("displacement", field.unit, np.linalg.norm(field.displacement, axis=0)),
-        ("sigma of displacement", field.unit, sigma),
+        (DISPLACEMENT_LENGTH, field.unit, np.linalg.norm(field.displacement, axis=0)),
+        (DISPLACEMENT_SIGMA, field.unit, sigma),
         *_known_parts(field),
-        *((f"strain {name}", "1", value) for name, value, _ in components),
-        *((f"sigma of strain {name}", "1", value) for name, _, value in components),
-        ("principal first", "1", principal[0]),
-        ("principal second", "1", principal[1]),
-        ("von_mises", "1", von_mises),
+        *((name, "1", value) for name, value, _ in strains),
+        *((sigma_of(name), "1", value) for name, _, value in strains),
+        *((name, "1", value) for name, value in zip(PRINCIPAL_STRAINS, principal, strict=True)),
+        (VON_MISES, "1", von_mises),
     ]
 
 
@@ -313,7 +320,9 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
             statistics[f"discrepancy_rms_{one.field.unit}_{one.field.camera}"] = one.field.discrepancy_rms
     for unit in dict.fromkeys(mesh.unit for mesh in meshes):
         largest = [
-            mesh.value("displacement").max() for mesh in meshes if mesh.unit == unit and len(mesh.vertices)
+            mesh.value(DISPLACEMENT_LENGTH).max()
+            for mesh in meshes
+            if mesh.unit == unit and len(mesh.vertices)
         ]
         if largest:
             statistics[f"maximum_displacement_{unit}"] = float(max(largest))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.formats.exporters import all_exporters, exporter_named
-from sms_jobs.formats.exporters.exporter import TEXTURE, Exporter
+from sms_jobs.formats.exporters.exporter import Exporter
 from sms_jobs.formats.exporters.sources import source_for
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
@@ -30,6 +30,7 @@ from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import MEASURED, MERGED, MESH
 from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.field_names import TEXTURE
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of

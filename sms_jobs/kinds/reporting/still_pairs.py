@@ -16,6 +16,7 @@ from sms_jobs.kinds.reporting.chapter import MERGED_STATES, STRAINS
 from sms_jobs.metrology.deformation.fields.noise_floor import NoiseFloor, noise_floor
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign, LoadState
+from sms_jobs.records.field_names import DISPLACEMENT_XYZ, STRAIN_VALUES
 from sms_jobs.records.subject import Subject
 
 SAME = 1e-3
@@ -121,11 +122,10 @@ def _fields(inputs: Inputs, campaign: Campaign, state: LoadState, seen_by: str, 
     own = Subject(campaign.name, state.label)
     if strain:
         field = inputs.read(STRAINS, STRAIN, replace(own, view=seen_by))
-        names = ("strain xx", "strain yy", "strain xy")
-        return {n: ("1", field.strain[k], field.sigma[k]) for k, n in enumerate(names)}
+        return {name: ("1", field.strain[k], field.sigma[k]) for k, name in enumerate(STRAIN_VALUES)}
     merged = inputs.read(MERGED_STATES, MERGED.of(seen_by), own)
     deviation = np.sqrt(covariance_in_space(merged.covariance)[list(_DIAGONAL)])
     return {
-        f"displacement {axis}": (merged.unit, merged.displacement[k], deviation[k])
-        for k, axis in enumerate("XYZ"[: len(merged.displacement)])
+        name: (merged.unit, merged.displacement[k], deviation[k])
+        for k, name in enumerate(DISPLACEMENT_XYZ[: len(merged.displacement)])
     }

@@ -42,6 +42,7 @@ from sms_jobs.metrology.surfaces.normals import image_normals
 from sms_jobs.metrology.surfaces.registration import MeasuredPoints, Registration, register
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface, triangle_surface
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.field_names import DEVIATION_OVER_SIGMA, DEVIATION_VALUE, sigma_of
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
@@ -52,9 +53,9 @@ from sms_jobs.records.surfaces import (
 )
 
 _VALUES = (
-    ("deviation", "mm"),
-    ("sigma of deviation", "mm"),
-    ("deviation over sigma", "1"),
+    (DEVIATION_VALUE, "mm"),
+    (sigma_of(DEVIATION_VALUE), "mm"),
+    (DEVIATION_OVER_SIGMA, "1"),
     ("verdict", "1"),
 )
 Vector = tuple[float, float, float]

@@ -18,10 +18,11 @@ from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.surfaces.continuity import fill_small_holes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.field_names import POSITION, TEXTURE, sigma_of
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.subject import Subject
 
-_VALUES = (("sigma of position", "mm"), ("texture", "1"), ("filled", "1"))
+_VALUES = ((sigma_of(POSITION), "mm"), (TEXTURE, "1"), ("filled", "1"))
 
 
 class MeshParameters(Parameters):

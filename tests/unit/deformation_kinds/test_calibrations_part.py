@@ -14,7 +14,7 @@ from sms_jobs.kinds.deformation import gauges
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.metrology.calibration.point_factor import motion_factor, point_factor, sigma_of
-from sms_jobs.records.fields import SIGMA_CALIBRATION
+from sms_jobs.records.field_names import SIGMA_CALIBRATION
 from sms_jobs.virtual_rig.truth import exact_shape
 
 VIEW = "C1P1"
