@@ -18,6 +18,14 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.planned_recordings import Ask, Campaign, Process
 from sms_jobs.errors import InvalidInput, JobFailed
 from sms_jobs.records.job import SHORT_ID
+from sms_jobs.records.statistic_names import (
+    DOUBTS,
+    LIT_FRACTION,
+    MODULATION,
+    RECORDINGS,
+    RETAKEN_FRAMES,
+    SATURATED_FRACTION,
+)
 
 app = typer.Typer(help="Recordings: states, with the instruments of a rig.", no_args_is_help=True)
 app.command("show")(recorded_states.show)
@@ -261,16 +269,16 @@ class _Followed:
 
 
 def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:
-    again = int(statistics.get("recordings", 1.0)) - 1
-    lost = int(statistics.get("retaken_frames", 0.0))
+    again = int(statistics.get(RECORDINGS, 1.0)) - 1
+    lost = int(statistics.get(RETAKEN_FRAMES, 0.0))
     notes = [
-        "doubtful" if statistics.get("doubts") else "good",
+        "doubtful" if statistics.get(DOUBTS) else "good",
         *([f"recorded {again} times again"] if again else []),
         *([f"{lost} frames taken again"] if lost else []),
     ]
     return (
-        f"{statistics.get('lit_fraction', 0.0):.0%}",
-        f"{statistics.get('saturated_fraction', 0.0):.1%}",
-        f"{statistics.get('modulation', 0.0):.0%}",
+        f"{statistics.get(LIT_FRACTION, 0.0):.0%}",
+        f"{statistics.get(SATURATED_FRACTION, 0.0):.1%}",
+        f"{statistics.get(MODULATION, 0.0):.0%}",
         ", ".join(notes),
     )

@@ -12,6 +12,7 @@ from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.statistic_names import fraction_of_points
 
 _REASONS = {
     correlation.CONVERGED: Reason.VALID,
@@ -89,7 +90,7 @@ def match_statistics(matches: ImageMatches) -> dict[str, float]:
     statistics = {"matched_fraction": float(matched.sum() / max(len(matched), 1))}
     for reason in sorted(set(_REASONS.values()) - {Reason.VALID}):
         part = float(np.count_nonzero(matches.reason == reason) / max(len(matched), 1))
-        statistics[f"{str(reason.name).lower()}_fraction_of_points"] = part
+        statistics[fraction_of_points(reason)] = part
     if matched.any():
         statistics |= {
             "mean_score": float(matches.score[matched].mean()),

@@ -7,7 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.records.reasons import LOST_TO, Reason
+from sms_jobs.records.reasons import Reason
+from sms_jobs.records.statistic_names import VALID_FRACTION, VALID_FRACTION_OF_IMAGE, lost_to
 
 Mask: TypeAlias = NDArray[np.bool_]
 
@@ -29,7 +30,7 @@ def fractions(valid: Mask, measurable: Mask) -> dict[str, float]:
         `valid_fraction`, 0 where nothing could be measured, and `valid_fraction_of_image`.
     """
     part = float((valid & measurable).sum()) / max(float(measurable.sum()), 1.0)
-    return {"valid_fraction": part, "valid_fraction_of_image": float(valid.mean())}
+    return {VALID_FRACTION: part, VALID_FRACTION_OF_IMAGE: float(valid.mean())}
 
 
 def losses(reason: NDArray[np.uint32]) -> dict[str, float]:
@@ -51,7 +52,7 @@ def losses(reason: NDArray[np.uint32]) -> dict[str, float]:
     lit = (reason & np.uint32(Reason.LOW_MODULATION)) == 0
     counted = reason[lit] if lit.mean() > _LIT else reason.ravel()
     parts = {one: float(np.mean((counted & np.uint32(one)) != 0)) for one in Reason if one}
-    return {f"{LOST_TO}{str(one.name).lower()}": part for one, part in parts.items() if part}
+    return {lost_to(one): part for one, part in parts.items() if part}
 
 
 def textured(reason: NDArray[np.uint32]) -> Mask:

@@ -8,10 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.statistic_names import GAUGE_QUANTITIES, of_gauge
 from sms_jobs.records.units import typed
-
-QUANTITIES: Final = ("extension_mm", "x_mm", "y_mm", "z_mm")
-"""Of a gauge: the growth of the distance of its ends, and the displacement of its middle along each axis."""
 
 _UNIT: Final = "mm"
 _LIMIT = re.compile(r"\s*(?P<gauge>[^\s<>=]+)\.(?P<quantity>[a-z_]+)\s*(?P<sign>[<>])\s*(?P<limit>[^<>=]+)")
@@ -24,7 +22,7 @@ class GaugeLimit:
     Attributes
     ----------
     gauge, quantity
-        Its name, and one of `QUANTITIES`.
+        Its name, and one of `GAUGE_QUANTITIES`.
     above
         Whether it stops above the limit, or below it.
     limit
@@ -42,7 +40,7 @@ class GaugeLimit:
     @property
     def statistic(self) -> str:
         """By which name the quick look has the value."""
-        return f"{self.gauge}_{self.quantity}"
+        return of_gauge(self.gauge, self.quantity)
 
     def is_reached(self, value: float) -> bool:
         """Say whether a value is beyond the limit."""
@@ -61,10 +59,11 @@ class GaugeLimit:
 def gauge_limit(text: str, what: str) -> GaugeLimit:
     """Read a limit, as 'g1.extension_mm > 0.5mm'; raise `InvalidInput` where it is none, or has no unit."""
     found = _LIMIT.fullmatch(text)
-    if found is None or found["quantity"] not in QUANTITIES:
+    if found is None or found["quantity"] not in GAUGE_QUANTITIES:
+        first, *others = GAUGE_QUANTITIES
         raise InvalidInput(
-            f"{what} is '{text}', which is no limit of a gauge: write GAUGE.{QUANTITIES[0]} > 0.5mm, or with "
-            f"{', '.join(QUANTITIES[1:])} in its place"
+            f"{what} is '{text}', which is no limit of a gauge: write GAUGE.{first} > 0.5mm, or with "
+            f"{', '.join(others)} in its place"
         )
     limit = typed(found["limit"], what).in_unit(_UNIT, what)
     return GaugeLimit(found["gauge"], found["quantity"], found["sign"] == ">", limit)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from enum import IntFlag
 
-LOST_TO = "lost_to_"
-"""How the statistics of a result without a valid value begin that say why: `lost_to_large_ray_gap`."""
-
 
 class Reason(IntFlag):
     """A value is valid exactly when its reason is `VALID`; its numbers are NaN otherwise."""

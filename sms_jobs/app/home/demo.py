@@ -24,6 +24,7 @@ from sms_jobs.jobs.planning.submission import submit_to
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.statistic_names import ErrorsOf, of_errors
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.sessions import calibration_session
 
@@ -153,36 +154,36 @@ def _accuracy(session: Session, campaign: str, calibration: Calibration) -> dict
     }
     tuples = list(newest.values())
     diagonal = calibration.volume.diagonal_mm
-    displacement = _pooled_rms(tuples, "displacement", "_mm")
+    displacement = _pooled_rms(tuples, "displacement")
     return {
         "volume_diagonal_mm": round(diagonal, 3),
-        "shape_rms_mm": _pooled_rms(tuples, "shape", "_mm"),
+        "shape_rms_mm": _pooled_rms(tuples, "shape"),
         "displacement_rms_mm": displacement,
         "displacement_relative": displacement / diagonal,
-        "strain_rms_microstrain": 1e6 * _pooled_rms(tuples, "strain", ""),
+        "strain_rms_microstrain": 1e6 * _pooled_rms(tuples, "strain"),
         "valid_fraction": min(_valid_fraction(tuples, "shape"), _valid_fraction(tuples, "displacement")),
         "shape_valid_fraction": _valid_fraction(tuples, "shape"),
         "displacement_valid_fraction": _valid_fraction(tuples, "displacement"),
         "strain_valid_fraction": _valid_fraction(tuples, "strain"),
         "valid_without_truth": int(
-            sum(t.get(f"{w}_false_valid_count", 0.0) for t in tuples for w in _FIELDS)
+            sum(t.get(of_errors(w, "false_valid_count"), 0.0) for t in tuples for w in _FIELDS)
         ),
     }
 
 
-_FIELDS = ("shape", "displacement", "strain")
+_FIELDS: tuple[ErrorsOf, ...] = ("shape", "displacement", "strain")
 
 
-def _pooled_rms(tuples: list[dict[str, float]], field: str, unit: str) -> float:
-    measured = [t for t in tuples if t.get(f"{field}_count")]
-    count = sum(t[f"{field}_count"] for t in measured)
-    return sqrt(sum(t[f"{field}_count"] * t[f"{field}_rms{unit}"] ** 2 for t in measured) / count)
+def _pooled_rms(tuples: list[dict[str, float]], field: ErrorsOf) -> float:
+    count, rms = of_errors(field, "count"), of_errors(field, "rms")
+    measured = [t for t in tuples if t.get(count)]
+    return sqrt(sum(t[count] * t[rms] ** 2 for t in measured) / sum(t[count] for t in measured))
 
 
-def _valid_fraction(tuples: list[dict[str, float]], field: str) -> float:
-    measured = [t for t in tuples if t.get(f"{field}_expected_count")]
-    count = sum(t[f"{field}_expected_count"] for t in measured)
-    return sum(t[f"{field}_expected_count"] * t[f"{field}_valid_fraction"] for t in measured) / count
+def _valid_fraction(tuples: list[dict[str, float]], field: ErrorsOf) -> float:
+    count, valid = of_errors(field, "expected_count"), of_errors(field, "valid_fraction")
+    measured = [t for t in tuples if t.get(count)]
+    return sum(t[count] * t[valid] for t in measured) / sum(t[count] for t in measured)
 
 
 def _products(session: Session, services: Services, campaign: str) -> dict[str, Any]:

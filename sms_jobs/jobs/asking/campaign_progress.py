@@ -17,15 +17,20 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 from sms_jobs.records.shown.state_progress import StateProgress
+from sms_jobs.records.statistic_names import (
+    DOUBTS,
+    MAXIMUM_PRINCIPAL_STRAIN,
+    channels_before,
+    maximum_displacement,
+)
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     pass
 
-_BEFORE = "_before"
 _ACTIVE = frozenset(state.value for state in ACTIVE)
 _UNSUCCESSFUL = frozenset(state.value for state in UNSUCCESSFUL)
-_LARGEST = {"correlate": "maximum_displacement_mm", "strain": "maximum_principal_strain"}
+_LARGEST = {"correlate": maximum_displacement("mm"), "strain": MAXIMUM_PRINCIPAL_STRAIN}
 """By kind, the statistic that says at a glance what a state did."""
 
 
@@ -121,12 +126,7 @@ def _progress(
     label: str, load_n: float | None, files: Mapping[tuple[str, str], _Found], jobs: _Jobs
 ) -> StateProgress:
     recorded = [f for (source, _), f in files.items() if source == MEASUREMENT]
-    channels = {
-        name.removesuffix(_BEFORE): value
-        for f in recorded
-        for name, value in f.statistics.items()
-        if name.endswith(_BEFORE)
-    }
+    channels = {name: value for f in recorded for name, value in channels_before(f.statistics).items()}
     recording = jobs.recording
     if recorded and recording in ("", JobState.SUCCEEDED.value):
         recording = "recorded"
@@ -136,8 +136,8 @@ def _progress(
         recording,
         max((f.created_at for f in recorded), default=None),
         len(recorded),
-        sum("doubts" in f.statistics for f in recorded),
-        sum(f.statistics.get("doubts", 0.0) > 0.0 for f in recorded),
+        sum(DOUBTS in f.statistics for f in recorded),
+        sum(f.statistics.get(DOUBTS, 0.0) > 0.0 for f in recorded),
         channels,
         jobs.active,
         jobs.unsuccessful,

@@ -33,6 +33,7 @@ from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records import triggers
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.shown.planned_recordings import Status
+from sms_jobs.records.statistic_names import after, before
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.triggers import Counted, Holding, Trigger
 from sms_jobs.records.units import in_unit_of_name
@@ -210,7 +211,7 @@ def _found_at(session: Session, one: Planned) -> str | None:
     trigger = triggers.from_json(one.row.trigger)
     if not isinstance(trigger, Holding | Counted):
         return None
-    names = [f"{trigger.channel}_{when}" for when in ("before", "after")]
+    names = (before(trigger.channel), after(trigger.channel))
     rows = session.execute(
         select(StatisticRow.name, func.min(StatisticRow.value), func.max(StatisticRow.value))
         .join(FileRow, FileRow.id == StatisticRow.file_id)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import fields
 from datetime import datetime
 
 from sqlalchemy import and_, func, select, update
@@ -21,10 +20,18 @@ from sms_jobs.records.job import ACTIVE, SHORT_ID, JobState
 from sms_jobs.records.shown.notifications import Topic
 from sms_jobs.records.shown.planned_recordings import Status
 from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
+from sms_jobs.records.statistic_names import (
+    DOUBTS,
+    GAUGE_QUANTITIES,
+    GAUGES,
+    GAUGES_READ,
+    VALID_FRACTION,
+    gauges_in,
+    of_gauge,
+)
 from sms_jobs.records.subject import Subject
 
 KIND = "quick-look"
-_READ = tuple(one.name for one in fields(GaugeLook))[1:]
 
 
 def looks(session: Session, campaign: str, labels: Collection[str] = ()) -> list[QuickLookView]:
@@ -70,12 +77,8 @@ def _statistics(session: Session, job_ids: Sequence[str]) -> Mapping[str, dict[s
 
 def _view(subject: Subject, job: JobRow, statistics: Mapping[str, float]) -> QuickLookView:
     done = job.state is JobState.SUCCEEDED
-    doubts = (job.error or job.message) if not done else job.message if statistics.get("doubts") else ""
-    ending = f"_{_READ[0]}"
-    names = [name.removesuffix(ending) for name in statistics if name.endswith(ending)]
-    gauges = tuple(
-        GaugeLook(name, *(statistics[f"{name}_{quantity}"] for quantity in _READ)) for name in names
-    )
+    doubts = (job.error or job.message) if not done else job.message if statistics.get(DOUBTS) else ""
+    gauges = tuple(GaugeLook.of(name, statistics) for name in gauges_in(statistics))
     return QuickLookView(
         subject.campaign,
         subject.state or "",
@@ -83,9 +86,9 @@ def _view(subject: Subject, job: JobRow, statistics: Mapping[str, float]) -> Qui
         job.id,
         job.state.value,
         job.finished_at if done else None,
-        statistics.get("valid_fraction"),
+        statistics.get(VALID_FRACTION),
         gauges,
-        int(statistics.get("gauges", 0.0) - statistics.get("gauges_read", 0.0)),
+        int(statistics.get(GAUGES, 0.0) - statistics.get(GAUGES_READ, 0.0)),
         "" if job.state in ACTIVE else doubts,
     )
 
@@ -142,9 +145,8 @@ def _verdict(session: Session, row: PlannedRecordingRow, campaign: str, label: s
     values: defaultdict[str, list[tuple[QuickLookView, float, float]]] = defaultdict(list)
     for one in found:
         for gauge in one.gauges:
-            for quantity in _READ[::2]:
-                sigma = getattr(gauge, quantity.replace("_mm", "_sigma_mm"))
-                values[f"{gauge.name}_{quantity}"].append((one, getattr(gauge, quantity), sigma))
+            for quantity in GAUGE_QUANTITIES:
+                values[of_gauge(gauge.name, quantity)].append((one, *gauge.read(quantity)))
     for limit in map(GaugeLimit.from_json, row.stop_if):
         there = values[limit.statistic]
         for one, value, sigma in there:

@@ -21,14 +21,14 @@ from sms_jobs.jobs.archiving.importing import measured_tuples
 from sms_jobs.jobs.recording.recordings import PairVerdict
 from sms_jobs.kinds.recording.stream import KIND, StreamParameters, require_exposures
 from sms_jobs.records.shown.streams import StreamedCamera, StreamOutcome, StreamRehearsal
+from sms_jobs.records.statistic_names import DOUBTS, SINCE_START_S, channels_before, of_stream
 from sms_jobs.records.streams import stream_of
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.records.optical_instruments import RigFile
 
-_BEFORE = "_before"
-"""At the end of the statistic that tells what a channel read, as of any recording."""
+_ACCOUNT = ("moments", "whole", "late", "lost", "refused")
 
 
 def next_number(session: Session, campaign: str) -> int:
@@ -121,14 +121,16 @@ def outcome(verdicts: Sequence[PairVerdict]) -> StreamOutcome:
     for subject, one in zip(subjects, verdicts, strict=True):
         by_camera.setdefault(subject.view or "", []).append(one.statistics)
     of_first = next(iter(by_camera.values()))
-    times = [one["since_start_s"] for one in of_first]
-    names = dict.fromkeys(n.removesuffix(_BEFORE) for one in of_first for n in one if n.endswith(_BEFORE))
-    values = {name: [one[name + _BEFORE] for one in of_first if name + _BEFORE in one] for name in names}
+    times = [one[SINCE_START_S] for one in of_first]
+    values: dict[str, list[float]] = {}
+    for statistics in of_first:
+        for name, value in channels_before(statistics).items():
+            values.setdefault(name, []).append(value)
     return StreamOutcome(
         subjects[0].state or "",
         subjects[-1].state or "",
         {name: _of_camera(of_states) for name, of_states in by_camera.items()},
-        any(of_states[0]["stream_broke_off"] for of_states in by_camera.values()),
+        any(of_states[0][of_stream("broke_off")] for of_states in by_camera.values()),
         (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None,
         {name: (min(read), max(read)) for name, read in values.items()},
         {name: len(times) - len(read) for name, read in values.items() if len(read) < len(times)},
@@ -136,9 +138,7 @@ def outcome(verdicts: Sequence[PairVerdict]) -> StreamOutcome:
 
 
 def _of_camera(of_states: Sequence[Mapping[str, float]]) -> StreamedCamera:
-    account = {
-        name: int(of_states[0][f"stream_{name}"]) for name in ("moments", "whole", "late", "lost", "refused")
-    }
+    account = {name: int(of_states[0][of_stream(name)]) for name in _ACCOUNT}
     return StreamedCamera(
-        **account, states=len(of_states), doubted=sum(bool(one["doubts"]) for one in of_states)
+        **account, states=len(of_states), doubted=sum(bool(one[DOUBTS]) for one in of_states)
     )

@@ -12,9 +12,8 @@ from sms_jobs.catalogue import search
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.records.job import JobState
-from sms_jobs.records.reasons import LOST_TO
+from sms_jobs.records.statistic_names import VALID_FRACTION_OF_IMAGE, losses
 
-_VALID = "valid_fraction_of_image"
 _MOST_TOLD = 2  # reasons
 _LEAST_TOLD = 0.01  # of the pixels
 
@@ -50,17 +49,20 @@ def said_of(session: Session, job: JobRow) -> list[str]:
 
 def why_nothing(session: Session, file_id: int) -> str:
     """Say by which reasons a file has no valid value."""
-    statistics = search.statistics(session, file_id)
-    lost = {n.removeprefix(LOST_TO): v for n, v in statistics.items() if n.startswith(LOST_TO)}
+    lost = losses(search.statistics(session, file_id))
     worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]
-    told = " and ".join(f"{lost[name]:.0%} by {name.replace('_', ' ')}" for name in worst)
+    told = " and ".join(f"{lost[name]:.0%} by {name}" for name in worst)
     return f"nothing valid: of the lit pixels are lost {told}" if told else "nothing valid"
 
 
 def _empty() -> Select[str, str, int]:
     """Select jobs that have succeeded, with each file of theirs in which nothing is valid."""
     made_by = func.coalesce(JobRow.reused_from, JobRow.id)
-    without = and_(StatisticRow.file_id == FileRow.id, StatisticRow.name == _VALID, StatisticRow.value == 0.0)
+    without = and_(
+        StatisticRow.file_id == FileRow.id,
+        StatisticRow.name == VALID_FRACTION_OF_IMAGE,
+        StatisticRow.value == 0.0,
+    )
     return (
         select(JobRow.kind, JobRow.subject, FileRow.id.label("file_id"))
         .join(FileRow, FileRow.job_id == made_by)

@@ -65,6 +65,7 @@ from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.statistic_names import maximum_displacement
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -274,7 +275,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
         statistics |= {
             f"median_sigma_{field.unit}": float(np.median(sigma)),
             f"median_displacement_{field.unit}": float(np.median(length)),
-            f"maximum_displacement_{field.unit}": float(length.max()),
+            maximum_displacement(field.unit): float(length.max()),
             **median_part(field.sigma_calibration, field.unit),
             **resolution_statistics(field),
         }

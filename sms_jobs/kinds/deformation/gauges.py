@@ -38,6 +38,8 @@ from sms_jobs.records.fields import DisplacementField, Regions, StrainMeasure, S
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
+from sms_jobs.records.statistic_names import GAUGES as GAUGES_GIVEN
+from sms_jobs.records.statistic_names import GAUGES_READ
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -98,7 +100,7 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     states = states_of(inputs, _MOVED)
     readings = read_gauges(moved, regions, surface, states, inputs.context, parameters, progress)
     finite = np.isfinite(readings.strain)
-    statistics = {"gauges": float(len(readings.names)), "gauges_read": float(finite.sum())}
+    statistics = {GAUGES_GIVEN: float(len(readings.names)), GAUGES_READ: float(finite.sum())}
     if finite.any():
         statistics["largest_gauge_strain"] = float(readings.strain[finite].max())
     yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)

@@ -62,6 +62,7 @@ from sms_jobs.records.field_names import (
 from sms_jobs.records.fields import Axis, DisplacementField, MergedField, Mesh, Surface
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.statistic_names import maximum_displacement, of_camera
 from sms_jobs.records.subject import Subject
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -313,11 +314,13 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
     }
     for one in seen:
         found = fractions(one.field.reason == Reason.VALID, one.measurable)
-        statistics |= {f"{name}_{one.field.camera}": value for name, value in found.items()}
+        statistics |= {of_camera(name, one.field.camera): value for name, value in found.items()}
         part = median_part(one.field.sigma_calibration, one.field.unit)
-        statistics |= {f"{name}_{one.field.camera}": value for name, value in part.items()}
+        statistics |= {of_camera(name, one.field.camera): value for name, value in part.items()}
         if np.isfinite(one.field.discrepancy_rms):
-            statistics[f"discrepancy_rms_{one.field.unit}_{one.field.camera}"] = one.field.discrepancy_rms
+            statistics[of_camera(f"discrepancy_rms_{one.field.unit}", one.field.camera)] = (
+                one.field.discrepancy_rms
+            )
     for unit in dict.fromkeys(mesh.unit for mesh in meshes):
         largest = [
             mesh.value(DISPLACEMENT_LENGTH).max()
@@ -325,7 +328,7 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
             if mesh.unit == unit and len(mesh.vertices)
         ]
         if largest:
-            statistics[f"maximum_displacement_{unit}"] = float(max(largest))
+            statistics[maximum_displacement(unit)] = float(max(largest))
     return statistics
 
 

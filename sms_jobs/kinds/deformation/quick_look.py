@@ -63,6 +63,15 @@ from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quick_look import QuickLook
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.statistic_names import (
+    DOUBTS,
+    GAUGE_QUANTITIES,
+    GAUGES,
+    GAUGES_READ,
+    SATURATED_FRACTION,
+    of_gauge,
+    with_sigma,
+)
 from sms_jobs.records.subject import Subject
 
 _SMOOTHING_PX = 0.6
@@ -163,8 +172,8 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
     if surface is not None:
         records[SURFACE] = surface
         statistics |= _of_shape(surface)
-        if not inputs.has(_FRAMES, RECORDED) and statistics["saturated_fraction"] > _SATURATED:
-            doubts.append(f"{statistics['saturated_fraction']:.0%} of the lit pixels are saturated")
+        if not inputs.has(_FRAMES, RECORDED) and statistics[SATURATED_FRACTION] > _SATURATED:
+            doubts.append(f"{statistics[SATURATED_FRACTION]:.0%} of the lit pixels are saturated")
         if inputs.has(_REFERENCE, SURFACE):
             look, blur = _compared(inputs, parameters, measurement, surface, step)
             if blur > parameters.blur_px:
@@ -175,7 +184,7 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
             if np.isfinite(blur):
                 statistics["blur_px"] = blur
     look = replace(look, doubts=tuple(doubts))
-    statistics |= {"doubts": float(len(doubts)), **_of_gauges(look)}
+    statistics |= {DOUBTS: float(len(doubts)), **_of_gauges(look)}
     progress(1.0, "; ".join(doubts) or "nothing is doubted")
     yield DatasetOutput(inputs.subject, {QUICK_LOOK: look, **records}, statistics)
 
@@ -318,20 +327,20 @@ def _of_shape(surface: Surface) -> dict[str, float]:
     lit = (reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
     saturated = (reason & np.uint32(Reason.SATURATED)) != 0
     part = float(saturated.sum()) / max(float(lit.sum()), 1.0)
-    return {**fractions(reason == Reason.VALID, lit), **losses(reason), "saturated_fraction": part}
+    return {**fractions(reason == Reason.VALID, lit), **losses(reason), SATURATED_FRACTION: part}
 
 
 def _of_gauges(look: QuickLook) -> dict[str, float]:
     """Return what people search by of the gauges, and plans are stopped by: those that have a value."""
-    found = {"gauges": float(len(look.names)), "gauges_read": float(np.count_nonzero(look.reason == 0))}
+    found = {GAUGES: float(len(look.names)), GAUGES_READ: float(np.count_nonzero(look.reason == 0))}
     for k, name in enumerate(look.names):
         if look.reason[k] != Reason.VALID:
             continue
-        found[f"{name}_extension_mm"] = float(look.extension[k])
-        found[f"{name}_extension_sigma_mm"] = float(look.extension_sigma[k])
-        for axis, letter in enumerate("xyz"):
-            found[f"{name}_{letter}_mm"] = float(look.displacement[k, axis])
-            found[f"{name}_{letter}_sigma_mm"] = float(look.sigma[k, axis])
+        values = (look.extension[k], *look.displacement[k])
+        sigmas = (look.extension_sigma[k], *look.sigma[k])
+        for quantity, value, sigma in zip(GAUGE_QUANTITIES, values, sigmas, strict=True):
+            found[of_gauge(name, quantity)] = float(value)
+            found[of_gauge(name, with_sigma(quantity))] = float(sigma)
     return found
 
 

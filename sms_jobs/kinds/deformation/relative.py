@@ -40,6 +40,7 @@ from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.rigid_motion import RegionMotion
 from sms_jobs.records.scene import Vector
+from sms_jobs.records.statistic_names import maximum_displacement
 from sms_jobs.records.subject import Subject
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -172,7 +173,7 @@ def _statistics(stated: RegionMotion, field: DisplacementField) -> dict[str, flo
         f"region_translation_{unit}": float(np.linalg.norm(stated.translation)),
         f"region_sigma_translation_{unit}": float(np.linalg.norm(stated.sigma_translation)),
         f"region_rms_{unit}": stated.rms,
-        f"maximum_displacement_{unit}": float(length.max()),
+        maximum_displacement(unit): float(length.max()),
     }
 
 

@@ -38,6 +38,7 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import StrainField, StrainMeasure, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
+from sms_jobs.records.statistic_names import MAXIMUM_PRINCIPAL_STRAIN
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -186,7 +187,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
     statistics = fractions(valid, surface.reason == Reason.VALID)
     if valid.any():
         statistics |= {
-            "maximum_principal_strain": float(field.principal[0][valid].max()),
+            MAXIMUM_PRINCIPAL_STRAIN: float(field.principal[0][valid].max()),
             "minimum_principal_strain": float(field.principal[1][valid].min()),
             "median_von_mises_strain": float(np.median(field.von_mises[valid])),
             "median_sigma_strain": float(np.median(field.sigma[:, valid])),

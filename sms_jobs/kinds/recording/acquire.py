@@ -50,6 +50,16 @@ from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
+from sms_jobs.records.statistic_names import (
+    DOUBTS,
+    LIT_FRACTION,
+    MODULATION,
+    RECORDINGS,
+    RETAKEN_FRAMES,
+    SATURATED_FRACTION,
+    after,
+    before,
+)
 from sms_jobs.records.subject import Subject
 
 ANGLES = ("pan_rad", "tilt_rad")
@@ -312,15 +322,15 @@ def statistics_of(recording: Recording) -> dict[str, float]:
         "apart_ms": None if recording.apart_s is None else 1e3 * recording.apart_s,
     }
     return {
-        "saturated_fraction": verdict.saturated_fraction,
-        "lit_fraction": verdict.lit_fraction,
-        "modulation": verdict.modulation,
-        "doubts": float(len(verdict.doubts)),
-        "retaken_frames": float(recording.retaken),
-        "recordings": float(recording.recordings),
+        SATURATED_FRACTION: verdict.saturated_fraction,
+        LIT_FRACTION: verdict.lit_fraction,
+        MODULATION: verdict.modulation,
+        DOUBTS: float(len(verdict.doubts)),
+        RETAKEN_FRAMES: float(recording.retaken),
+        RECORDINGS: float(recording.recordings),
         **{name: value for name, value in of_an_image.items() if value is not None},
-        **{f"{name}_before": value for name, value in recording.channels_before.items()},
-        **{f"{name}_after": value for name, value in recording.channels_after.items()},
+        **{before(name): value for name, value in recording.channels_before.items()},
+        **{after(name): value for name, value in recording.channels_after.items()},
     }
 
 

@@ -43,6 +43,7 @@ from sms_jobs.records.events import Event
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.recording import FramesBetween, Recording
+from sms_jobs.records.statistic_names import SINCE_EVENT_S, SINCE_START_S, of_stream
 from sms_jobs.records.streams import StreamSize, frame_label
 from sms_jobs.records.subject import Subject
 
@@ -251,20 +252,20 @@ def _state(
 def _when(file: Spooled, moment: Whole) -> dict[str, float]:
     """Return when a state was in its stream: since its start, and since the event."""
     event_s = file.header.about["event_s"]
-    since = {} if event_s is None else {"since_event_s": moment.time_s - event_s}
-    return {"since_start_s": moment.time_s, **since}
+    since = {} if event_s is None else {SINCE_EVENT_S: moment.time_s - event_s}
+    return {SINCE_START_S: moment.time_s, **since}
 
 
 def _account(kept: KeptStream, camera: str, whole: int) -> dict[str, float]:
     """Return what became of the frames of a camera; it stands with the first state of the stream."""
     account = kept.account(camera)
     return {
-        "stream_moments": float(account.moments),
-        "stream_whole": float(whole),
-        "stream_late": float(account.late),
-        "stream_lost": float(account.lost),
-        "stream_refused": float(account.refused),
-        "stream_broke_off": float(not kept.ended),
+        of_stream("moments"): float(account.moments),
+        of_stream("whole"): float(whole),
+        of_stream("late"): float(account.late),
+        of_stream("lost"): float(account.lost),
+        of_stream("refused"): float(account.refused),
+        of_stream("broke_off"): float(not kept.ended),
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from sms_jobs.records.fields import StrainField
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Simulation
+from sms_jobs.records.statistic_names import ErrorsOf, of_errors
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.truth import Truth, exact_shape, exact_truth
 
@@ -205,24 +206,16 @@ def _summed_up(
 
 def _output(subject: Subject, assessment: Assessment) -> DatasetOutput:
     statistics: dict[str, float] = {}
-    for name, errors, unit in (
-        ("shape", assessment.shape, "_mm"),
-        ("displacement", assessment.displacement, "_mm"),
-        ("strain", assessment.strain, ""),
-    ):
-        if errors is not None:
-            statistics |= _named(name, asdict(errors), unit)
-    return DatasetOutput(subject, {ASSESSMENT: assessment}, statistics)
-
-
-def _named(name: str, values: Mapping[str, Any], unit: str) -> dict[str, float]:
-    """Return the numbers of one result under the names that people search by; unknown ones are left out."""
-    lengths = ("rms", "bias", "largest")
-    return {
-        f"{name}_{key}{unit if key in lengths else ''}": float(value)
-        for key, value in values.items()
-        if isfinite(value)
+    every: Mapping[ErrorsOf, Errors | None] = {
+        "shape": assessment.shape,
+        "displacement": assessment.displacement,
+        "strain": assessment.strain,
     }
+    for of, errors in every.items():
+        # What is not known is left out.
+        known = {} if errors is None else {key: v for key, v in asdict(errors).items() if isfinite(v)}
+        statistics |= {of_errors(of, key): float(value) for key, value in known.items()}
+    return DatasetOutput(subject, {ASSESSMENT: assessment}, statistics)
 
 
 KIND = Kind(

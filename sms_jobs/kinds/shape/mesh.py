@@ -20,6 +20,7 @@ from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.field_names import POSITION, TEXTURE, sigma_of
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.statistic_names import of_camera
 from sms_jobs.records.subject import Subject
 
 _VALUES = ((sigma_of(POSITION), "mm"), (TEXTURE, "1"), ("filled", "1"))
@@ -56,7 +57,7 @@ def run(inputs: Inputs, parameters: MeshParameters, progress: Progress) -> Itera
         row, column = pixels.T
         surfaces.append((np.ascontiguousarray(filled.xyz[:, row, column].T), faces))
         values.append(_values(inputs, view, filled.filled)[:, row, column])
-        statistics[f"filled_holes_{view.camera}"] = float(filled.holes)
+        statistics[of_camera("filled_holes", view.camera)] = float(filled.holes)
         progress((number + 1) / (len(inputs.context) + 1), f"meshed {view.camera}")
     vertices, faces, camera, vertex = join_meshes(surfaces)
     at_vertices = [part[:, vertex[camera == k]] for k, part in enumerate(values)]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from datetime import datetime
+
+from sms_jobs.records.statistic_names import of_gauge, with_sigma
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,16 @@ class GaugeLook:
     y_sigma_mm: float
     z_mm: float
     z_sigma_mm: float
+
+    @classmethod
+    def of(cls, gauge: str, statistics: Mapping[str, float]) -> GaugeLook:
+        """Return what the statistics of a quick look say of a gauge that has a value."""
+        names = [one.name for one in fields(cls)[1:]]
+        return cls(gauge, **{name: statistics[of_gauge(gauge, name)] for name in names})
+
+    def read(self, quantity: str) -> tuple[float, float]:
+        """Return one of `GAUGE_QUANTITIES` and its standard deviation."""
+        return getattr(self, quantity), getattr(self, with_sigma(quantity))
 
 
 @dataclass(frozen=True)
