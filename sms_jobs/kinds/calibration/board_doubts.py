@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.bundle.problem import BoardPoints, BundleProblem
+from sms_jobs.metrology.calibration.bundle.problem import BoardPoints, BundleProblem, ResidualType
 from sms_jobs.metrology.calibration.bundle.result import Adjustment
 
 Floats = NDArray[np.float64]
@@ -38,13 +38,13 @@ def _misfit(found: Adjustment) -> list[str]:
         f"{one.whitened:.1f} times the deviation that is stated of them (limit {_MOST_WHITENED:g}): the "
         "lens, the board or which image belongs to which pose is not as told; look at the maps of residuals"
         for one in found.rms
-        if one.of == "sensor" and one.type.startswith("board") and one.whitened > _MOST_WHITENED
+        if one.of == "sensor" and one.type.of_board and one.whitened > _MOST_WHITENED
     ]
 
 
 def _bent(found: Adjustment) -> list[str]:
     """Name plain lenses whose residuals are those of another one."""
-    rms = {one.name: one.rms for one in found.rms if one.of == "sensor" and one.type.startswith("board")}
+    rms = {one.name: one.rms for one in found.rms if one.of == "sensor" and one.type.of_board}
     return [
         f"the residuals of boards in {name} grow outwards as those of another lens do: one radial term more "
         f"would take {share:.0%} of their squares (limit {_MOST_RADIAL:.0%}), {share**0.5 * rms[name]:.2g} "
@@ -63,8 +63,7 @@ def _repeated(problem: BundleProblem, found: Adjustment) -> list[str]:
     alike: dict[tuple[int, int], list[int]] = defaultdict(list)
     shown: dict[int, set[int]] = defaultdict(set)
     for sensor, items in seen.items():
-        kind = "board in projector" if items[0].projector else "board in camera"
-        factor = found.variance_factors.get(kind, 1.0)  # type: ignore[call-overload]
+        factor = found.variance_factors.get(ResidualType.of_board_in(items[0].projector), 1.0)
         for item in items:
             shown[item.pose].add(sensor)
         for first, other in combinations(items, 2):

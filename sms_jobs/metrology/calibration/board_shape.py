@@ -18,12 +18,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Outline = tuple[tuple[float, float], tuple[float, float]]
 
-SHAPE = ("bow along x", "bow along y", "twist")
-"""What the shape of a board is made of."""
-
 
 def shape_terms(points: Floats, outline_mm: Outline) -> Floats:
-    """Return by how much each term of `SHAPE`, at 1 mm, moves points out of the plane.
+    """Return by how much each term of `estimates.SHAPE`, at 1 mm, moves points out of the plane.
 
     Parameters
     ----------

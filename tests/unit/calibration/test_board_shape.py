@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sms_jobs.metrology.calibration.board_shape import SHAPE, shape_terms
+from sms_jobs.metrology.calibration.board_shape import shape_terms
+from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
 
 _OUTLINE = ((-30.0, 90.0), (10.0, 50.0))
 
@@ -17,7 +18,7 @@ def test_a_bow_is_how_far_the_ends_of_a_middle_line_lie_above_its_middle():
     middle, side, front, corner = shape_terms(np.array([[30, 30], [90, 30], [30, 10], [90, 50]]), _OUTLINE)
     assert side - middle == pytest.approx([1.0, 0.0, 0.0])
     assert front - middle == pytest.approx([0.0, 1.0, 0.0])
-    assert corner[SHAPE.index("twist")] == pytest.approx(1.0)
+    assert corner[SHAPE.index(Estimated.TWIST)] == pytest.approx(1.0)
 
 
 def test_no_term_moves_or_tilts_the_plane_that_fits_best():

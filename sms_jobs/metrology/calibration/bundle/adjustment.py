@@ -50,7 +50,7 @@ from sms_jobs.metrology.calibration.bundle.parameters import (
     parameter_names,
     starting_state,
 )
-from sms_jobs.metrology.calibration.bundle.problem import RESIDUAL_TYPES, BundleOptions, BundleProblem
+from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem, ResidualType
 from sms_jobs.metrology.calibration.bundle.report import (
     adjusted_sensors,
     board_poses,
@@ -303,7 +303,7 @@ def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit:
         cost=_cost(packed, options, fit, fit.normal),
         redundancy=count - float(absorbed.sum()),
         variance_factors={
-            kind: float(fit.scale[k]) for k, kind in enumerate(RESIDUAL_TYPES) if _occurs(packed, kind)
+            kind: float(fit.scale[k]) for k, kind in enumerate(ResidualType) if _occurs(packed, kind)
         },
         rms=rms,
         refused=refusals(packed, fit.normal.observed, fit.live, fit.scale, options),
@@ -340,7 +340,7 @@ def _of_points(
     return added, judge_points(problem, equations, fit.freedom, found) if options.judge_points else nothing
 
 
-def _occurs(packed: Packed, kind: str) -> bool:
-    if kind in ("ray gap", "sphere surface"):
+def _occurs(packed: Packed, kind: ResidualType) -> bool:
+    if not kind.of_board:
         return bool(packed.bars)
-    return any(block.projector == (kind == "board in projector") for block in packed.boards)
+    return any(ResidualType.of_board_in(block.projector) is kind for block in packed.boards)

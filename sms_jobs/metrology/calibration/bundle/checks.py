@@ -17,6 +17,7 @@ from sms_jobs.metrology.calibration.bundle.problem import BundleProblem
 from sms_jobs.metrology.calibration.bundle.residuals import ray_distances
 from sms_jobs.metrology.calibration.bundle.result import Nuisance, Rms
 from sms_jobs.metrology.calibration.bundle.weak_directions import described, weakest_direction
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
@@ -313,21 +314,20 @@ def prior_warnings(problem: BundleProblem, nuisance: tuple[Nuisance, ...]) -> tu
     """Warn of certified lengths that the observations contradict."""
     loud = [n for n in nuisance if abs(n.z) > _MOST_Z]
     found = []
-    lengths = [n for n in loud if n.name.startswith("length")]
-    pitches = [n for n in loud if n.name.startswith("pitch")]
-    reported = set()
+    lengths = [n for n in loud if n.what is Estimated.LENGTH]
+    pitches = [n for n in loud if n.what is Estimated.PITCH_SCALE]
+    reported = {*lengths, *pitches} if lengths and pitches else set()
     for length in lengths:
         for pitch in pitches:
-            reported |= {length.name, pitch.name}
             z = max(abs(length.z), abs(pitch.z))
             found.append(
-                f"the length of {length.prior:.6g} mm of {length.name.removeprefix('length of ')} and "
-                f"the pitch of {pitch.name.removeprefix('pitch scale of ')} disagree by {z:.0f} "
+                f"the length of {length.prior:.6g} mm of {length.artefact} and "
+                f"the pitch of {pitch.artefact} disagree by {z:.0f} "
                 f"sigma (limit {_MOST_Z:.0f}): together they make the bar {length.value:.6g} mm long and the "
                 f"pitch {pitch.value:.6g} times what is stated; measure both again"
             )
     for n in loud:
-        if n.name not in reported:
+        if n not in reported:
             unit = " mm" if n.unit == "mm" else ""
             found.append(
                 f"the {n.name} is stated as {n.prior:.6g}{unit} within {n.prior_sigma:.2g}{unit} and found "

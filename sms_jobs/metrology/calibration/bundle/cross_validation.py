@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
-from sms_jobs.metrology.calibration.board_shape import SHAPE
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
-from sms_jobs.metrology.calibration.bundle.problem import BoardPose, BundleBoard, BundleOptions, BundleProblem
-from sms_jobs.metrology.calibration.bundle.result import Adjustment, Nuisance
+from sms_jobs.metrology.calibration.bundle.problem import (
+    BoardPose,
+    BundleBoard,
+    BundleOptions,
+    BundleProblem,
+    ResidualType,
+)
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
+from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
 from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS
 
 Floats = NDArray[np.float64]
@@ -163,9 +170,8 @@ def _without(problem: BundleProblem, bars: set[int], boards: set[int]) -> Bundle
 
 def _alone(problem: BundleProblem, found: Adjustment, bars: set[int], boards: set[int]) -> BundleProblem:
     """Return the problem of some poses alone: sensors and boards as found, no tie of lengths."""
-    known: dict[str, Nuisance] = {n.name: n for n in found.nuisance}
-    pitch = [known[f"pitch scale of {b.name}"].value if f"pitch scale of {b.name}" in known else 1.0
-             for b in problem.boards]  # fmt: skip
+    known = {(n.what, n.artefact): n.value for n in found.nuisance}
+    pitch = [known.get((Estimated.PITCH_SCALE, board.name), 1.0) for board in problem.boards]
     sensors = zip(problem.sensors, found.sensors, strict=True)
     points = [p for p in problem.board_points if p.pose in boards]
     return replace(
@@ -187,12 +193,10 @@ def _alone(problem: BundleProblem, found: Adjustment, bars: set[int], boards: se
     )
 
 
-def _as_found(board: BundleBoard, known: dict[str, Nuisance]) -> BundleBoard:
+def _as_found(board: BundleBoard, known: Mapping[tuple[Estimated, str], float]) -> BundleBoard:
     """Return a board that keeps the shape that was found; its pitch is that of its points."""
-    names = [f"{what} of {board.name}" for what in SHAPE]
-    bow_x, bow_y, twist = (
-        known[name].value if name in known else kept for name, kept in zip(names, board.shape_mm, strict=True)
-    )
+    terms = zip(SHAPE, board.shape_mm, strict=True)
+    bow_x, bow_y, twist = (known.get((what, board.name), kept) for what, kept in terms)
     return replace(board, pitch_relative_sigma=0.0, flatness_mm=0.0, shape_mm=(bow_x, bow_y, twist))
 
 
@@ -213,8 +217,8 @@ def _reprojections(problem: BundleProblem, measured: Adjustment, boards: set[int
     return [
         HeldOutBoard(
             name,
-            rms.get((name, "board in camera"), float("nan")),
-            rms.get((name, "board in projector"), float("nan")),
+            rms.get((name, ResidualType.BOARD_IN_CAMERA), float("nan")),
+            rms.get((name, ResidualType.BOARD_IN_PROJECTOR), float("nan")),
         )
         for name in names
     ]

@@ -7,7 +7,8 @@ Sensors, artefacts and poses are named by their place in the tuples of the probl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,29 @@ from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
 
 Floats = NDArray[np.float64]
 
-ResidualType: TypeAlias = Literal["ray gap", "sphere surface", "board in camera", "board in projector"]
-RESIDUAL_TYPES: tuple[ResidualType, ...] = (
-    "ray gap",
-    "sphere surface",
-    "board in camera",
-    "board in projector",
-)
+
+class ResidualType(StrEnum):
+    """Of what a residual is the distance, as people call it; in the order of variance factors."""
+
+    RAY_GAP = "ray gap"
+    SPHERE_SURFACE = "sphere surface"
+    BOARD_IN_CAMERA = "board in camera"
+    BOARD_IN_PROJECTOR = "board in projector"
+
+    @classmethod
+    def of_board_in(cls, projector: bool) -> ResidualType:
+        """Return the type of the points of a board in a projector, or in a camera."""
+        return cls.BOARD_IN_PROJECTOR if projector else cls.BOARD_IN_CAMERA
+
+    @property
+    def of_board(self) -> bool:
+        """Whether it is that of a point of a board, of which there are two coordinates."""
+        return self in (ResidualType.BOARD_IN_CAMERA, ResidualType.BOARD_IN_PROJECTOR)
+
+    @property
+    def unit(self) -> Literal["mm", "px"]:
+        """In which residuals of this type are given."""
+        return "px" if self.of_board else "mm"
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.calibration.board_shape import SHAPE
 from sms_jobs.metrology.calibration.bundle.normal_equations import Block, Live, Observed, Packed
 from sms_jobs.metrology.calibration.bundle.parameters import Freedom, Layout, State, adjusted_sensor
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem, ResidualType
 from sms_jobs.metrology.calibration.bundle.result import AdjustedSensor, Nuisance, Rms
 from sms_jobs.metrology.calibration.bundle.weights import distances
+from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
 from sms_jobs.metrology.geometry.camera import Pose
 
 Floats = NDArray[np.float64]
@@ -44,28 +44,35 @@ def nuisances(
     found = []
 
     def add(
-        at: int, name: str, unit: Literal["mm", "1"], prior: float, prior_sigma: float, value: float
+        at: int,
+        what: Estimated,
+        artefact: str,
+        prior: float,
+        prior_sigma: float,
+        value: float,
+        sphere: int | None = None,
     ) -> None:
         if not freedom.free[at]:
             return
         sigma = float(np.sqrt(covariance[at, at]))
         # Where the rest tells nothing of a length it stays at its prior, and its z is 0 over 0.
         spread = max(prior_sigma**2 - sigma**2, 1e-6 * prior_sigma**2) ** 0.5
-        found.append(Nuisance(name, unit, prior, prior_sigma, value, sigma, (value - prior) / spread))
+        z = (value - prior) / spread
+        found.append(Nuisance(what, artefact, prior, prior_sigma, value, sigma, z, sphere))
 
     for k, bar in enumerate(problem.bars):
         at, radii = layout.bar(k), state.radii(problem, k)
         length = float(state.length[k])
-        add(at, f"length of {bar.name}", "mm", bar.length_mm, bar.length_sigma_mm, length)
+        add(at, Estimated.LENGTH, bar.name, bar.length_mm, bar.length_sigma_mm, length)
         for i in (0, 1):
-            name = f"radius of sphere {i + 1} of {bar.name}"
-            add(at + 1 + i, name, "mm", bar.radius_mm, bar.radius_sigma_mm, float(radii[i]))
+            radius, known = float(radii[i]), (bar.radius_mm, bar.radius_sigma_mm)
+            add(at + 1 + i, Estimated.RADIUS, bar.name, *known, radius, i + 1)
     for k, board in enumerate(problem.boards):
         scale = state.pitch_scale(problem, k)
         at, shape = layout.board(k), state.shape(problem, k)
-        add(at, f"pitch scale of {board.name}", "1", 1.0, board.pitch_relative_sigma, scale)
+        add(at, Estimated.PITCH_SCALE, board.name, 1.0, board.pitch_relative_sigma, scale)
         for i, (what, height) in enumerate(zip(SHAPE, shape, strict=True)):
-            add(at + 1 + i, f"{what} of {board.name}", "mm", 0.0, board.flatness_mm, float(height))
+            add(at + 1 + i, what, board.name, 0.0, board.flatness_mm, float(height))
     return tuple(found)
 
 
@@ -94,13 +101,12 @@ def rms_tables(
     for block in packed.bars:
         part, keys = slice(block.start, block.stop), _keys(problem, block, bar=True)
         found, white, used = in_mm[part], observed.bar_found[part], live.bar[part]
-        add(keys, "ray gap", found[:, 0:1], white[:, 0:1], used)
-        add(keys, "sphere surface", found[:, 1:2], white[:, 1:2], used)
+        add(keys, ResidualType.RAY_GAP, found[:, 0:1], white[:, 0:1], used)
+        add(keys, ResidualType.SPHERE_SURFACE, found[:, 1:2], white[:, 1:2], used)
     for block in packed.boards:
         part, keys = slice(block.start, block.stop), _keys(problem, block, bar=False)
         found, used = observed.board_found[part], live.board[part]
-        kind: ResidualType = "board in projector" if block.projector else "board in camera"
-        add(keys, kind, found[:, 0:2], found[:, 2:4], used)
+        add(keys, ResidualType.of_board_in(block.projector), found[:, 0:2], found[:, 2:4], used)
     return tuple(_row(key, total) for key, total in sums.items())
 
 
@@ -116,7 +122,6 @@ def _keys(problem: BundleProblem, block: Block, bar: bool) -> list[tuple[Of, str
 
 def _row(key: Key, total: _Sum) -> Rms:
     many = max(total.count, 1)
-    unit: Literal["mm", "px"] = "px" if key[2].startswith("board") else "mm"
     rms, whitened = (total.square / many) ** 0.5, (total.whitened / many) ** 0.5
     nothing = total.count == 0
     return Rms(
@@ -124,7 +129,6 @@ def _row(key: Key, total: _Sum) -> Rms:
         count=total.count,
         rejected=total.rejected,
         rms=np.nan if nothing else rms,
-        unit=unit,
         whitened=np.nan if nothing else whitened,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle.problem import ResidualType
+from sms_jobs.metrology.calibration.estimates import Estimated, name_of
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
@@ -33,9 +34,7 @@ class Rms:
     rejected
         Number that were left out.
     rms
-        In `unit`, of the observations that were used.
-    unit
-        mm, or px (each coordinate).
+        In `unit`, of the observations that were used; of points of a board, of each coordinate.
     whitened
         Rms over the standard deviation stated with the observations: 1 when that is right.
     """
@@ -46,8 +45,12 @@ class Rms:
     count: int
     rejected: int
     rms: float
-    unit: Literal["mm", "px"]
     whitened: float
+
+    @property
+    def unit(self) -> Literal["mm", "px"]:
+        """Of `rms`."""
+        return self.type.unit
 
 
 @dataclass(frozen=True)
@@ -65,24 +68,34 @@ class Nuisance:
 
     Attributes
     ----------
-    name
-        "length of bar-500", "radius of sphere 1 of bar-500", "pitch scale of board-a",
-        "bow along x of board-a".
-    unit
-        mm, or 1 for a pitch scale.
+    what, artefact
+        What it is of which bar or board.
     prior, prior_sigma, value, sigma
         Beforehand and afterwards.
     z
         (value - prior) over its standard deviation under the prior, sqrt(prior_sigma^2 - sigma^2).
+    sphere
+        Of which sphere of a bar, 1 or 2; None of what is of the whole artefact.
     """
 
-    name: str
-    unit: Literal["mm", "1"]
+    what: Estimated
+    artefact: str
     prior: float
     prior_sigma: float
     value: float
     sigma: float
     z: float
+    sphere: int | None = None
+
+    @property
+    def name(self) -> str:
+        """How people call it."""
+        return name_of(self.what, self.artefact, self.sphere)
+
+    @property
+    def unit(self) -> str:
+        """Of its values."""
+        return self.what.unit
 
 
 @dataclass(frozen=True)
