@@ -92,7 +92,7 @@ def test_points_scatter_about_the_exact_image_as_stated() -> None:
 
 
 def test_the_pull_of_blur_is_taken_back() -> None:
-    session = observed_session()
+    session = observed_session().copy()
     plain = session.run(observe_bar, ORDINARY, blur_px=0.0)["observation"]
     session = observed_session().copy()
     mended = session.run(observe_bar, ORDINARY)["observation"]
