@@ -91,7 +91,7 @@ class CatalogueDamaged(SmsError):
 
 
 class OtherFormat(SmsError):
-    """A file, message or catalogue was written by a newer version than this one reads."""
+    """A file, message or catalogue was written by a version that this one does not read."""
 
     exit_code = 4
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, OtherFormat
+from sms_jobs.metrology.calibration.estimates import Estimated, name_of
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.quantity import array
 from sms_jobs.records.sensors import Sensor
@@ -106,6 +107,33 @@ class CalibrationFactor:
 
 
 @dataclass(frozen=True)
+class Estimate:
+    """A number that a calibration found of an artefact or of a camera.
+
+    Attributes
+    ----------
+    what, owner
+        What it is of which of them, by name.
+    value, sigma
+        In the unit of `what`; no standard deviation where none is known.
+    sphere
+        Of which sphere of a bar, 1 or 2; None of what is of the whole.
+    """
+
+    what: Estimated
+    owner: str
+    value: float
+    sigma: float | None = None
+    sphere: int | None = None
+
+    def told(self) -> dict[str, float]:
+        """Return it as tables for people have it, by names that carry the unit."""
+        name, unit = name_of(self.what, self.owner, self.sphere), self.what.unit
+        told = {f"{name} [{unit}]": self.value}
+        return told if self.sigma is None else {**told, f"{name}, sigma [{unit}]": self.sigma}
+
+
+@dataclass(frozen=True)
 class CalibrationQuality:
     """How an adjustment went, and what it says of its own result.
 
@@ -128,7 +156,8 @@ class CalibrationQuality:
     board_rms_px
         Of every pose of a board, the residuals by a calibration that it took no part in.
     found
-        What was found of the artefacts themselves; names carry the unit.
+        What was found of the artefacts themselves and what lenses were held at, as people are shown it; names
+        carry the unit.
     views
         Views that measure points, C1P1 or of cameras alone C1C2, in the order of `expected_sigma`.
     place, expected_sigma
@@ -140,6 +169,9 @@ class CalibrationQuality:
     shape_sigma_mm
         Standard deviation of a point in the volume from the calibration alone, but for motions and the scale
         of the whole, of the view that knows it worst; None where it was not asked for.
+    estimates
+        What was found of artefacts and cameras, for whoever goes on with it; None where an older version has
+        kept `found` alone.
     """
 
     gauge: str
@@ -169,6 +201,20 @@ class CalibrationQuality:
     )
     scale: str = ""
     shape_sigma_mm: float | None = None
+    estimates: tuple[Estimate, ...] | None = None
+
+    def estimate(self, what: Estimated, owner: str) -> Estimate | None:
+        """Return what was found of an artefact as a whole, or of a camera; None where nothing was.
+
+        Raises `OtherFormat` where an older version has kept nothing but what people are shown.
+        """
+        if self.estimates is None:
+            raise OtherFormat(
+                f"the calibration does not tell the {name_of(what, owner)} but in words, as an older version "
+                "wrote it: calibrate its session again, and accept what that gives"
+            )
+        same = (e for e in self.estimates if (e.what, e.owner, e.sphere) == (what, owner, None))
+        return next(same, None)
 
     def held_out_bar_rms_mm(self) -> float:
         """Return the rms error of the held-out bar lengths; NaN when there was no bar."""

@@ -72,6 +72,7 @@ from sms_jobs.kinds.products import BOARD, CALIBRATED, QUALITY, UNCERTAINTY, Pro
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
 from sms_jobs.metrology.calibration.bundle.cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions
+from sms_jobs.metrology.calibration.bundle.result import Adjustment
 from sms_jobs.metrology.calibration.starting.initialisation import initialise
 from sms_jobs.metrology.geometry.lens import LENS
 from sms_jobs.metrology.geometry.lens_field import fold_px
@@ -223,7 +224,7 @@ def adjusted(
     quality = replace(quality, found={**quality.found, **told(calibration.rig, parameters.fixed, models)})
     progress(0.9, "writing the page")
     products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
-    yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality))
+    yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality, found))
     page = calibration_page(
         plan.name,
         start.rig,
@@ -250,7 +251,8 @@ def _check_unfolded(calibration: Calibration) -> None:
             )
 
 
-def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[str, float]:
+def _statistics(calibration: Calibration, quality: CalibrationQuality, found: Adjustment) -> dict[str, float]:
+    """Return what people search by."""
     statistics = {
         "residuals_count": float(quality.residuals),
         "iterations_count": float(quality.iterations),
@@ -260,16 +262,14 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality) -> dict[s
     if held_out == held_out:
         statistics["held_out_bar_rms_mm"] = held_out
         statistics["held_out_bar_over_diagonal"] = held_out / calibration.volume.diagonal_mm
-    for name, value in quality.rms_by_type.items():
-        kind, _, unit = name.rstrip("]").partition(" [")
-        statistics[f"{kind.replace(' ', '_')}_rms_{unit}"] = value
-    return statistics
+    every = (one for one in found.rms if one.of == "all")
+    return statistics | {f"{one.type.replace(' ', '_')}_rms_{one.unit}": one.rms for one in every}
 
 
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=8,
+    version=9,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),

@@ -21,7 +21,6 @@ from sms_jobs.kinds.calibration.sessions import (
     START_OF_BOARDS,
     angles,
     bar_states,
-    blur_name,
     board_states,
     every_view,
     sensor_format,
@@ -31,6 +30,7 @@ from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, Kind, Need, 
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BAR, CALIBRATED, MEASURED, QUALITY
 from sms_jobs.kinds.shape.phases import sensor_pair
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.calibration.stage.pan_tilt import (
     label_special_poses,
     predict_centres,
@@ -169,8 +169,8 @@ def start_blur(inputs: Inputs, camera: str) -> float:
     """Return the blur of a camera that the first calibration found on the board; 0 where it found none."""
     if not inputs.has(START, QUALITY):
         return 0.0
-    quality = inputs.read(START, QUALITY)
-    return quality.found.get(blur_name(camera), 0.0)
+    blur = inputs.read(START, QUALITY).estimate(Estimated.BLUR, camera)
+    return 0.0 if blur is None else blur.value
 
 
 def _expected(

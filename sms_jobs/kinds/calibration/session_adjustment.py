@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import CalibrationFailed
-from sms_jobs.kinds.calibration.sessions import SessionPlan, blur_name
+from sms_jobs.kinds.calibration.sessions import SessionPlan
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.bundle.covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle.cross_validation import CrossValidation
@@ -25,14 +25,15 @@ from sms_jobs.metrology.calibration.bundle.problem import (
     BundleSensor,
     SensorPrior,
 )
-from sms_jobs.metrology.calibration.bundle.result import Adjustment
+from sms_jobs.metrology.calibration.bundle.result import Adjustment, Nuisance
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.calibration.starting.sensor_start import seen_pose, usable_views
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.artefacts import BallBar, bow_sigma_mm
-from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty, Estimate
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
@@ -164,11 +165,9 @@ def start_from_last(
     prior = None if uncertainty is None else SensorPrior(_lens_information(last.rig, uncertainty))
     pitch = {}
     for name in {one.artefact for seen_in in boards.values() for one in seen_in}:
-        if quality is not None and f"pitch scale of {name} [1]" in quality.found:
-            pitch[name] = (
-                quality.found[f"pitch scale of {name} [1]"],
-                quality.found[f"pitch scale of {name}, sigma [1]"],
-            )
+        scale = None if quality is None else quality.estimate(Estimated.PITCH_SCALE, name)
+        if scale is not None:
+            pitch[name] = (scale.value, scale.sigma or 0.0)
     shown = frozenset((v.sensor, v.pose) for v, _ in usable)
     return Start(last.rig, poses, None, known_as(last), pitch, prior, shown, refusals(refused))
 
@@ -374,6 +373,7 @@ def quality_of(
     used = [np.isfinite(r).all(axis=1) for r in found.residual_board]
     points = [*zip(problem.board_points, found.residual_board, used, strict=True)]
     none = np.empty((0, 2))
+    estimates = (*map(_estimate, found.nuisance), *_blurs(plan, boards))
     return CalibrationQuality(
         gauge=found.gauge,
         started_from=start.origin,
@@ -387,7 +387,7 @@ def quality_of(
         warnings=(*found.warnings, *held_out.failed, *doubts),
         bar_length_error_mm={b.pose: b.error_mm for b in held_out.bars},
         board_rms_px={b.pose: _both(b.camera_rms_px, b.projector_rms_px) for b in held_out.boards},
-        found=_found(plan, found, boards),
+        found={name: value for one in estimates for name, value in one.told().items()},
         views=tuple("".join(pair) for pair in pairs),
         place=place,
         expected_sigma=np.stack(sigma) if sigma else np.empty((0, len(place))),
@@ -396,6 +396,7 @@ def quality_of(
         residual=np.concatenate([none, *(r[k] for _, r, k in points)]),
         scale=_scale(plan, start, found, problem),
         shape_sigma_mm=found.shape_sigma_mm,
+        estimates=estimates,
     )
 
 
@@ -421,17 +422,17 @@ def _both(camera_px: float, projector_px: float) -> float:
     return float(np.sqrt(np.mean(np.square(finite)))) if finite else float("nan")
 
 
-def _found(plan: SessionPlan, found: Adjustment, boards: Boards) -> dict[str, float]:
-    numbers: dict[str, float] = {}
-    for length in found.nuisance:
-        numbers[f"{length.name} [{length.unit}]"] = length.value
-        numbers[f"{length.name}, sigma [{length.unit}]"] = length.sigma
+def _estimate(one: Nuisance) -> Estimate:
+    return Estimate(one.what, one.artefact, one.value, one.sigma, one.sphere)
+
+
+def _blurs(plan: SessionPlan, boards: Boards) -> Iterator[Estimate]:
+    """Yield the blur of each camera, as the edges of the board's dots show it."""
     for camera in dict.fromkeys(view_of(view).camera for view in plan.views):
         blurs = [o.blur_px for seen in boards.values() for o in seen if o.camera == camera]
         finite = [b for b in blurs if np.isfinite(b)]
         if finite:
-            numbers[blur_name(camera)] = float(np.median(finite))
-    return numbers
+            yield Estimate(Estimated.BLUR, camera, float(np.median(finite)))
 
 
 def expected_sigma(rig: Rig, found: Adjustment, pair: tuple[str, str], place: Floats) -> Floats:

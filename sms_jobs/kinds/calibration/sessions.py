@@ -142,11 +142,6 @@ def observed(inputs: Inputs, plan: SessionPlan, port: Port, product: Product[R])
     return found
 
 
-def blur_name(camera: str) -> str:
-    """Return under what name a calibration tells the blur of a camera."""
-    return f"blur of {camera} [px]"
-
-
 def sensor_format(session: CalibrationSession, name: str) -> SensorFormat:
     """Return the size of a sensor's image; raise `InvalidInput` where the session does not tell it."""
     for sensor in session.sensors:

@@ -27,9 +27,11 @@ from sms_jobs.bench.sessions.board_sessions import (
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.calibration import calibrate_boards, observe_board
 from sms_jobs.kinds.calibration.sessions import board_states, every_view
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.artefacts import Chessboard
+from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.scene import CameraResponse, Rigid, Scene
 from sms_jobs.records.sensors import Box, Rig, Sensor, SensorFormat
@@ -45,6 +47,16 @@ def perfect() -> BoardSession:
     return board_session(SMALL, 3)
 
 
+def found_bow(quality: CalibrationQuality) -> tuple[float, float]:
+    bow = quality.estimate(Estimated.BOW_ALONG_X, "board")
+    assert bow is not None
+    assert bow.sigma is not None
+    # People read the same numbers.
+    assert quality.found["bow along x of board [mm]"] == bow.value
+    assert quality.found["bow along x of board, sigma [mm]"] == bow.sigma
+    return bow.value, bow.sigma
+
+
 def worst_z(made: BoardSession, found: Calibrated) -> float:
     return max(abs(z) for z in parameter_z(made, found).values())
 
@@ -54,7 +66,7 @@ def test_a_bow_is_found_and_moves_no_parameter(height: float) -> None:
     made = board_session(replace(SMALL, bend=bow(height)), 3)
     found = calibrated(made)
     assert found.quality.warnings == ()
-    own, sigma = (found.quality.found[f"bow along x of board{what} [mm]"] for what in ("", ", sigma"))
+    own, sigma = found_bow(found.quality)
     assert abs(own - height) < 4.0 * sigma
     assert sigma < 0.005
     # 22 correlated numbers: none beyond 4.5 of their deviations, and not one moves with the bow.
@@ -261,7 +273,7 @@ def test_a_bow_is_found_in_rendered_images_by_the_jobs() -> None:
         made.run(observe_board, subject, threads=1)
     found = made.run(calibrate_boards, Subject("rendered"), threads=1, folds=2, figure_width_px=400)
     quality = found["quality"]
-    own, sigma = (quality.found[f"bow along x of board{what} [mm]"] for what in ("", ", sigma"))
+    own, sigma = found_bow(quality)
     assert abs(own - 0.4) < 4.0 * sigma
     assert sigma < 0.02
     assert campaign.scene is not None

@@ -15,10 +15,10 @@ from sms_jobs.kinds.calibration.sessions import (
     CALIBRATE_BOARDS,
     OBSERVE_BAR,
     bar_states,
-    blur_name,
     every_view,
 )
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.targets.sphere_blur import sphere_image_in_projector
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.measurement import ArrayStack, Measurement
@@ -108,7 +108,10 @@ def test_the_pull_of_blur_is_taken_back() -> None:
 def test_the_blur_comes_from_the_board() -> None:
     session = recorded_session()
     quality: CalibrationQuality = session.records[CALIBRATE_BOARDS, "session"]["quality"]
-    told = quality.found[blur_name("C1")]
+    blur = quality.estimate(Estimated.BLUR, "C1")
+    assert blur is not None
+    assert quality.found["blur of C1 [px]"] == blur.value
+    told = blur.value
     first = session.copy().run(observe_bar, ORDINARY_FIRST)["observation"]
     same = session.copy().run(observe_bar, ORDINARY_FIRST, blur_px=told)["observation"]
     np.testing.assert_array_equal(first.projector_px, same.projector_px)

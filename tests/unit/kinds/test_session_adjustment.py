@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support.calibration_sessions import SessionInMemory, observed_session, point_errors, recorded_session
 
+from sms_jobs.errors import OtherFormat
 from sms_jobs.jobs.archiving.calibrations import KnownCalibration, compared, drift_of
 from sms_jobs.kinds.calibration.session_adjustment import board_views, known_as, start_from_last
 from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BOARD
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import KEPT, LENS
 from sms_jobs.records.artefacts import BallBar, CircleBoard
@@ -82,6 +84,22 @@ def test_views_of_several_pairs_are_averaged_by_their_weights() -> None:
     np.testing.assert_allclose(view.pixel, expected, rtol=1e-12)
     np.testing.assert_allclose(view.sigma_px, first.camera_sigma_px[order] / np.sqrt(5.0), rtol=1e-12)
     np.testing.assert_array_equal(view.point, first.point[order])
+
+
+def test_a_session_on_site_keeps_the_pitch_that_was_found() -> None:
+    first = before().records[CALIBRATE, "first"]
+    quality: CalibrationQuality = first["quality"]
+    scale = quality.estimate(Estimated.PITCH_SCALE, "board")
+    assert scale is not None
+    site = SessionInMemory.observed(on_site_session("site", "small"), 7)
+    seen = {"B01": [site.observation(OBSERVE_BOARD, "B01", "C1P1")]}
+    start = start_from_last(first["calibration"], first["uncertainty"], quality, seen)
+    assert start.pitch == {"board": (scale.value, scale.sigma)}
+    assert start_from_last(first["calibration"], None, None, seen).pitch == {}
+    # What an older version has sealed tells it in a sentence, which is for people.
+    older = replace(quality, estimates=None)
+    with pytest.raises(OtherFormat, match=r"the pitch scale of board but in words.*: calibrate its session"):
+        start_from_last(first["calibration"], first["uncertainty"], older, seen)
 
 
 def test_each_coordinate_of_a_projector_has_its_own_noise() -> None:
