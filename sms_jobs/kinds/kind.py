@@ -12,6 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
+from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.records.input_roles import role_at
 from sms_jobs.records.subject import Subject
@@ -74,15 +75,6 @@ class Port:
     def of(self, subject: Subject) -> Need:
         """Return the need for what is about a subject; a calibration is for it, at its state's time."""
         return Need(self, subject)
-
-    def described(self) -> dict[str, Any]:
-        """Return what comes in here, for people and programs."""
-        return {
-            "name": self.name,
-            "source": self.source,
-            "several": self.several,
-            "records": [product.described() for product in self.products],
-        }
 
     def made_by(self, source: str) -> Port:
         """Return the same of another source."""
@@ -221,16 +213,6 @@ class DatasetOutput:
         return {product.stored_as: record for product, record in self.products.items()}
 
 
-@dataclass(frozen=True)
-class DocumentOutput:
-    """A file for people or other programs; `write` fills it at the path that it is given."""
-
-    subject: Subject
-    filename: str
-    media_type: str
-    write: Callable[[Path], None]
-
-
 Output = DatasetOutput | DocumentOutput
 
 
@@ -275,7 +257,8 @@ class Kind(Generic[P]):
     inputs
         Every port that a job may have, with the records that are read there.
     outputs
-        Every record that its results may have; none for documents alone.
+        Every record that its results may have, and every document; several of a name are declared with
+        what tells them apart.
     needs
         Which inputs a job about a subject has; with `subjects`, all that the planner knows of a kind.
     run
@@ -312,7 +295,7 @@ class Kind(Generic[P]):
     scope: Scope
     parameters: type[P]
     inputs: tuple[Port, ...]
-    outputs: tuple[Product[Any], ...]
+    outputs: tuple[Product[Any] | Document, ...]
     needs: Callable[[Campaign, Subject, P], Iterable[Need]]
     run: Callable[[Inputs, P, Progress], Iterator[Output]]
     subjects: Callable[[Campaign], Iterable[Subject]] | None = None
@@ -335,10 +318,21 @@ class Kind(Generic[P]):
                 raise TypeError(f"{self.name} does not declare its input {need.role} of {need.source}")
         return found
 
+    @property
+    def records(self) -> Mapping[Product[Any], Product[Any]]:
+        """The records that its results may have: how each is declared, by what it is whatever its key."""
+        return {one.any_key: one for one in self.outputs if not isinstance(one, Document)}
+
     def checked(self, output: Output) -> Output:
-        """Return what a job yielded; raise `TypeError` for a record that is not declared, or is another."""
-        for product, record in output.products.items() if isinstance(output, DatasetOutput) else ():
-            if product.any_key not in self.outputs:
+        """Return what a job yielded; raise `TypeError` for what is not declared, or is something else."""
+        if isinstance(output, DocumentOutput):
+            if output.document not in self.outputs:
+                raise TypeError(f"{self.name} does not declare its document {output.filename}")
+            return output
+        records = self.records
+        for product, record in output.products.items():
+            declared = records.get(product.any_key)
+            if declared is None or (product.key and not declared.keyed_by):
                 raise TypeError(f"{self.name} does not declare its output {product.stored_as}")
             if not isinstance(record, product.record):
                 classes = f"{type(record).__name__}, not {product.record.__name__}"

@@ -51,11 +51,14 @@ class Product(Generic[R]):
         Its class.
     key
         Which one, where a file has several of a name, such as one for each camera.
+    keyed_by
+        What keys are, as a kind declares it that gives several of a name; empty elsewhere.
     """
 
     name: str
     record: type[R]
     key: str = ""
+    keyed_by: str = ""
 
     @property
     def stored_as(self) -> str:
@@ -65,15 +68,15 @@ class Product(Generic[R]):
     @property
     def any_key(self) -> Product[R]:
         """The same whatever the key."""
-        return replace(self, key="")
+        return replace(self, key="", keyed_by="")
 
     def of(self, key: str) -> Product[R]:
         """Return the one of several with a key."""
         return replace(self, key=key)
 
-    def described(self) -> dict[str, str]:
-        """Return its name and class, for people and programs."""
-        return {"name": self.name, "record": self.record.__name__}
+    def by(self, keys: str) -> Product[R]:
+        """Return the declaration that results have several of it, told apart by a camera, a state, ..."""
+        return replace(self, keyed_by=keys)
 
     def among(self, names: Iterable[str]) -> tuple[Product[R], ...]:
         """Return those of this name that a file with records of some names has, in its order."""

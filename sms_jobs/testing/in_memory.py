@@ -44,6 +44,6 @@ def run_kind(
     """Run a kind that makes one dataset of one record from each of its needs, by role."""
     datasets = {role: InMemory(subject, {role: record}) for role, record in records.items()}
     inputs = Inputs(subject, None, datasets, threads)
-    (output,) = kind.run(inputs, parameters, progress)
+    (output,) = map(kind.checked, kind.run(inputs, parameters, progress))
     assert isinstance(output, DatasetOutput)
     return output

@@ -15,7 +15,8 @@ from support.browser import Browser, browser_or_skip
 from support.planes import merged_in_plane, moved_in_plane, one_region, plane, strain_in_plane
 
 from sms_jobs.archive import Archive, FolderStore, Provenance
-from sms_jobs.kinds.kind import DocumentOutput, Inputs, Need
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import Inputs, Need
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.reporting.report import ReportParameters

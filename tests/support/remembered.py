@@ -14,7 +14,8 @@ from typing import Any
 from sms_jobs.jobs.results import reuse
 from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.jobs.running.runner import Runner
-from sms_jobs.kinds.kind import DatasetOutput, DocumentOutput, Inputs, Kind, Output, Progress
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Progress
 from sms_jobs.records.measurement import ArrayStack, FrameStack, Measurement
 
 _made: dict[tuple[object, str], tuple[Output, ...]] = {}

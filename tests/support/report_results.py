@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.archive import Archive, FolderStore, Provenance
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Need
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need
 from sms_jobs.kinds.products import MERGED
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
@@ -154,7 +155,8 @@ def run_on_results(
         inputs = Inputs(subject, kind.context(campaign, subject), datasets)
         told: list[float] = []
         documents = []
-        for output in kind.run(inputs, parameters, lambda part, _="": told.append(part)):
+        outputs = kind.run(inputs, parameters, lambda part, _="": told.append(part))
+        for output in map(kind.checked, outputs):
             path = folder / output.filename
             output.write(path)
             documents.append((output, path))

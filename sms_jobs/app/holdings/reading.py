@@ -112,7 +112,7 @@ def _with_record(name: str) -> set[str]:
     return {
         kind.makes or kind.name
         for kind in all_kinds().values()
-        if any(product.name in stems for product in kind.outputs)
+        if any(product.name in stems for product in kind.records)
     }
 
 

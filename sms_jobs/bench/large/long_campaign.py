@@ -27,7 +27,8 @@ from sms_jobs.archive import Archive, FolderStore, Provenance
 from sms_jobs.archive.dataset import ArchivedDataset
 from sms_jobs.bench.peak_memory import peak_rss_mb
 from sms_jobs.errors import SmsError
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, DocumentOutput, Inputs, Kind
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Kind
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, MERGED, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.surface_ports import maker_of

@@ -6,12 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from sms_jobs.errors import CalibrationFailed
-from sms_jobs.kinds.calibration.calibrate_boards import (
-    LAST,
-    CalibrateParameters,
-    adjusted,
-    from_last,
-)
+from sms_jobs.kinds.calibration.calibrate_boards import LAST, PAGE, CalibrateParameters, adjusted, from_last
 from sms_jobs.kinds.calibration.session_adjustment import Boards, Start, rigid_pose, start_from_last
 from sms_jobs.kinds.calibration.session_doubts import alike_numbered
 from sms_jobs.kinds.calibration.sessions import (
@@ -104,7 +99,7 @@ KIND = Kind(
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, OBSERVED_BARS, START, START_OF_BOARDS, LAST),
-    outputs=(CALIBRATED, UNCERTAINTY, QUALITY),
+    outputs=(CALIBRATED, UNCERTAINTY, QUALITY, PAGE),
     needs=_needs,
     run=run,
     subjects=_subjects,

@@ -55,18 +55,8 @@ from sms_jobs.kinds.calibration.sessions import (
     session_of,
     session_plan,
 )
-from sms_jobs.kinds.kind import (
-    CALIBRATION,
-    DatasetOutput,
-    DocumentOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Port,
-    Progress,
-    Scope,
-)
+from sms_jobs.kinds.documents import Document, DocumentOutput
+from sms_jobs.kinds.kind import CALIBRATION, DatasetOutput, Inputs, Kind, Need, Output, Port, Progress, Scope
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BOARD, CALIBRATED, QUALITY, UNCERTAINTY, Product
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
@@ -81,6 +71,7 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 
+PAGE = Document("calibration", "text/html")
 LAST = Port("last", CALIBRATION, (CALIBRATED, UNCERTAINTY, QUALITY))
 """The calibration that a session on site starts from."""
 
@@ -234,7 +225,7 @@ def adjusted(
         parameters.figure_width_px,
         origin_sections(inputs.datasets, plan.name, defaults_of_kinds()),
     )
-    yield DocumentOutput(inputs.subject, f"{plan.name}-calibration.html", "text/html", page_writer(page))
+    yield DocumentOutput(inputs.subject, PAGE, f"{plan.name}-calibration.html", page_writer(page))
     progress(1.0, f"adjusted {quality.residuals} residuals in {quality.iterations} iterations")
 
 
@@ -273,7 +264,7 @@ KIND = Kind(
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),
-    outputs=(CALIBRATED, UNCERTAINTY, QUALITY),
+    outputs=(CALIBRATED, UNCERTAINTY, QUALITY, PAGE),
     needs=_needs,
     run=run,
     subjects=_subjects,

@@ -15,7 +15,8 @@ from sms_jobs.formats.report.conditions import conditions_csv, conditions_markup
 from sms_jobs.formats.report.html import number
 from sms_jobs.formats.report.origins import Traceable
 from sms_jobs.formats.report.page import Section
-from sms_jobs.kinds.kind import DocumentOutput, Inputs, Kind, Need, Output, Progress, Scope
+from sms_jobs.kinds.documents import Document, DocumentOutput
+from sms_jobs.kinds.kind import Inputs, Kind, Need, Output, Progress, Scope
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, MERGED, RECORDED, STRAIN, SURFACE
 from sms_jobs.kinds.reporting import report
@@ -57,6 +58,8 @@ _CRITERIA = {
 _MICROSTRAIN = 1e6
 _VSG = "virtual strain gauge (VSG) size"
 _RESOLUTION = "spatial resolution"
+_TABLE = Document("conditions", "text/csv")
+_PLAIN = Document("conditions", "application/json")
 _READ = (CALIBRATION_SHOWN, RECORDINGS, *SURFACES.all, DISPLACEMENTS, STRAINS, MERGED_STATES)
 
 
@@ -331,8 +334,8 @@ def run(inputs: Inputs, parameters: Parameters, progress: Progress) -> Iterator[
     found = conditions(inputs, campaign)
     progress(0.9, "gathered the conditions")
     stem = f"{campaign.name}-conditions"
-    yield DocumentOutput(inputs.subject, f"{stem}.csv", "text/csv", partial(conditions_csv, found))
-    yield DocumentOutput(inputs.subject, f"{stem}.json", "application/json", partial(_write_json, found))
+    yield DocumentOutput(inputs.subject, _TABLE, f"{stem}.csv", partial(conditions_csv, found))
+    yield DocumentOutput(inputs.subject, _PLAIN, f"{stem}.json", partial(_write_json, found))
     progress(1.0, "wrote the conditions")
 
 
@@ -344,7 +347,7 @@ KIND = Kind(
     scope=Scope.CAMPAIGN,
     parameters=Parameters,
     inputs=_READ,
-    outputs=(),
+    outputs=(_TABLE, _PLAIN),
     needs=_needs,
     run=run,
     subjects=report.subjects,

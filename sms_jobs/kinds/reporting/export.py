@@ -14,9 +14,9 @@ from pydantic import Field, field_validator
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.exporter import Exporter
 from sms_jobs.formats.exporters.sources import source_for
+from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.kind import (
     MEASUREMENT,
-    DocumentOutput,
     Inputs,
     Kind,
     Need,
@@ -100,17 +100,22 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
         for format_name in parameters.formats or (USUAL if mesh.has_depth else USUAL_FLAT):
             exporter = exporter_named(format_name)
             if Mesh in exporter.takes or object in exporter.takes:
-                yield _document(inputs, exporter, stem, source_for(exporter, mesh, parameters.fields))
+                yield _written(inputs, exporter, stem, source_for(exporter, mesh, parameters.fields))
                 continue
             for camera in mesh.cameras:
                 field = inputs.read(_MERGED, MERGED.of(camera))
                 seen = source_for(exporter, field, texture=textures[camera])
-                yield _document(inputs, exporter, f"{name}-{camera}", seen)
+                yield _written(inputs, exporter, f"{name}-{camera}", seen)
 
 
-def _document(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> DocumentOutput:
+def _written(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> DocumentOutput:
     write = partial(exporter.write, source)
-    return DocumentOutput(inputs.subject, f"{stem}{exporter.suffix}", exporter.media_type, write)
+    return DocumentOutput(inputs.subject, _document_of(exporter), f"{stem}{exporter.suffix}", write)
+
+
+def _document_of(exporter: Exporter) -> Document:
+    """Return what a file of a format is declared as; of planes there is one for each camera."""
+    return Document(exporter.name, exporter.media_type, "camera")
 
 
 def _texture(inputs: Inputs, view: str | None) -> NDArray[np.float32]:
@@ -139,7 +144,7 @@ KIND = Kind(
     scope=Scope.STATE,
     parameters=ExportParameters,
     inputs=(_MERGED, _FRAMES),
-    outputs=(),
+    outputs=tuple(map(_document_of, all_exporters().values())),
     needs=needs,
     run=run,
     subjects=every_deformed_state,

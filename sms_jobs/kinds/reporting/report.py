@@ -8,17 +8,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from sms_jobs.kinds.kind import (
-    DocumentOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Progress,
-    Scope,
-    tested_states,
-    tuples,
-)
+from sms_jobs.kinds.documents import Document, DocumentOutput
+from sms_jobs.kinds.kind import Inputs, Kind, Need, Output, Progress, Scope, tested_states, tuples
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.reporting.chapter import (
     ASSESSMENTS,
@@ -58,6 +49,9 @@ class PageParameters(Parameters):
             if name not in known:
                 raise ValueError(f"a report shows no '{name}' besides; choose among {', '.join(known)}")
         return tuple(dict.fromkeys(names))
+
+
+PAGE = Document("report", "text/html")
 
 
 class ReportParameters(PageParameters):
@@ -127,7 +121,7 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
     pictured = pictured_states(campaign, parameters.most_states)
     sampling = Sampling(parameters.map_px, parameters.figure_width_px)
     pages = ReportPages(inputs, campaign, sampling, pictured, progress, 1e6 * parameters.most_mb)
-    yield DocumentOutput(inputs.subject, f"{campaign.name}-report.html", "text/html", pages.write_page)
+    yield DocumentOutput(inputs.subject, PAGE, f"{campaign.name}-report.html", pages.write_page)
     progress(1.0, "wrote the report")
 
 
@@ -138,7 +132,7 @@ KIND = Kind(
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
     inputs=SHOWN,
-    outputs=(),
+    outputs=(PAGE,),
     needs=needs,
     run=run,
     subjects=subjects,

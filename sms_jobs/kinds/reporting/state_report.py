@@ -6,16 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.kind import (
-    DocumentOutput,
-    Inputs,
-    Kind,
-    Need,
-    Output,
-    Progress,
-    Scope,
-    every_deformed_state,
-)
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import Inputs, Kind, Need, Output, Progress, Scope, every_deformed_state
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.reporting.chapter import SHOWN, Sampling, present
 from sms_jobs.kinds.reporting.pages import ReportPages
@@ -45,7 +37,7 @@ def run(inputs: Inputs, parameters: report.PageParameters, progress: Progress) -
     sampling = Sampling(parameters.map_px, parameters.figure_width_px)
     pages = ReportPages(inputs, campaign, sampling, campaign.states[1:], progress)
     name = f"{campaign.name}-{inputs.subject.state}-report.html"
-    yield DocumentOutput(inputs.subject, name, "text/html", pages.write_page)
+    yield DocumentOutput(inputs.subject, report.PAGE, name, pages.write_page)
     progress(1.0, "wrote the report")
 
 
@@ -56,7 +48,7 @@ KIND = Kind(
     scope=Scope.STATE,
     parameters=report.PageParameters,
     inputs=SHOWN,
-    outputs=(),
+    outputs=(report.PAGE,),
     needs=_needs,
     run=run,
     subjects=_subjects,

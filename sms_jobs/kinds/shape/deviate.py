@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from sms_jobs.formats.deviation_figures import write_deviation_map
+from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.kind import (
     REFERENCE_SURFACES,
     DatasetOutput,
-    DocumentOutput,
     Inputs,
     Kind,
     Need,
@@ -105,6 +105,7 @@ class _View:
     points: MeasuredPoints
 
 
+_MAP = Document("deviation", "image/png", "camera")
 _REFERENCE = Port("surface", REFERENCE_SURFACES, (REFERENCE_SURFACE,))
 
 
@@ -136,8 +137,8 @@ def run(inputs: Inputs, parameters: DeviateParameters, progress: Progress) -> It
     for camera, field in fields.items():
         yield DocumentOutput(
             inputs.subject,
+            _MAP,
             f"{name}-{camera}-deviation.png",
-            "image/png",
             partial(write_deviation_map, field),
         )
 
@@ -273,7 +274,7 @@ KIND = Kind(
     scope=Scope.STATE,
     parameters=DeviateParameters,
     inputs=(*SHAPES.all, _REFERENCE),
-    outputs=(DEVIATION, REGISTRATION, MESH),
+    outputs=(DEVIATION.by("camera"), REGISTRATION, MESH, _MAP),
     needs=needs,
     run=run,
     context=cameras,

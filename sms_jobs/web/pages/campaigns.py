@@ -55,7 +55,10 @@ def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
     offered = kinds.list_kinds(services)
     order = list(dict.fromkeys(cell.kind for cell in cells))
     states = [state.label for state in story.campaign.states]
-    images = {"measurement", *(k.name for k in offered if any(o["name"] in PICTURED for o in k.outputs))}
+    images = {
+        "measurement",
+        *(k.name for k in offered if any(o.record and o.name in PICTURED for o in k.outputs)),
+    }
     pictured = [c for c in cells if c.view is not None and c.file is not None and c.kind in images]
     documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
     return page.render(

@@ -9,8 +9,10 @@ import pytest
 
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import strain
+from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Port
 from sms_jobs.kinds.products import MERGED, MESH, REGIONS, STRAIN, SURFACE
+from sms_jobs.kinds.reporting import report
 from sms_jobs.records.fields import Regions
 from sms_jobs.records.subject import Subject
 from sms_jobs.testing.in_memory import InMemory
@@ -23,7 +25,11 @@ SUBJECT = Subject("plate", "S01", "C1P1")
 def test_ports_and_products_of_a_kind_can_be_told_apart(kind: Kind[Any]) -> None:
     # A name may stand for two sources, of which a job has one; a source and name, once.
     assert len({(port.name, port.source) for port in kind.inputs}) == len(kind.inputs)
-    assert len({product.name for product in kind.outputs}) == len(kind.outputs)
+    assert len({product.name for product in kind.records}) == len(kind.records)
+    documents = [one for one in kind.outputs if isinstance(one, Document)]
+    assert len({(one.name, one.media_type) for one in documents}) == len(documents)
+    # Whatever runs gives something, and nobody has to run it to learn what.
+    assert kind.outputs
 
 
 def test_what_is_not_declared_is_refused() -> None:
@@ -36,6 +42,15 @@ def test_what_is_not_declared_is_refused() -> None:
         strain.KIND.checked(DatasetOutput(SUBJECT, {REGIONS: regions}, {}))
     with pytest.raises(TypeError, match="strain of strain is Regions, not StrainField"):
         strain.KIND.checked(DatasetOutput(SUBJECT, {STRAIN: regions}, {}))
+    with pytest.raises(TypeError, match="strain does not declare its output strain_C1"):
+        strain.KIND.checked(DatasetOutput(SUBJECT, {STRAIN.of("C1"): regions}, {}))
+    page = DocumentOutput(SUBJECT, report.PAGE, "plate-report.html", lambda path: None)
+    with pytest.raises(TypeError, match=r"strain does not declare its document plate-report\.html"):
+        strain.KIND.checked(page)
+    assert report.KIND.checked(page) is page
+    picture = replace(page, document=replace(report.PAGE, media_type="image/png"))
+    with pytest.raises(TypeError, match="report does not declare its document"):
+        report.KIND.checked(picture)
 
 
 def test_a_port_gives_only_what_it_declares() -> None:

@@ -20,7 +20,8 @@ from sms_jobs.errors import MeasurementFailed
 from sms_jobs.formats.deviation_figures import band_edges, draw_deviation
 from sms_jobs.formats.exporters import exporter_named
 from sms_jobs.formats.exporters.sources import source_for
-from sms_jobs.kinds.kind import MEASUREMENT, REFERENCE_SURFACES, DatasetOutput, DocumentOutput, Inputs, Need
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import MEASUREMENT, REFERENCE_SURFACES, DatasetOutput, Inputs, Need
 from sms_jobs.kinds.shape import deviate, mesh
 from sms_jobs.metrology.geometry.transforms import inverse, rotation_vector
 from sms_jobs.metrology.surfaces.deviation import Verdict

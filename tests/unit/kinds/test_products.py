@@ -24,7 +24,7 @@ def test_a_record_is_called_by_its_name_and_key(key: str) -> None:
 
 def test_kinds_give_and_take_what_is_listed_there() -> None:
     kinds = all_kinds().values()
-    given = {one for kind in kinds for one in kind.outputs}
+    given = {one for kind in kinds for one in kind.records}
     taken = {one for kind in kinds for port in kind.inputs for one in port.products}
     assert given | taken == set(EVERY)
 

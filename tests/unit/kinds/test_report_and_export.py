@@ -17,7 +17,8 @@ from support.report_results import campaign, mesh, records_for, run_on_results
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import MEASUREMENT, DocumentOutput, Port
+from sms_jobs.kinds.documents import DocumentOutput
+from sms_jobs.kinds.kind import MEASUREMENT, Port
 from sms_jobs.kinds.reporting import export, report
 from sms_jobs.kinds.reporting import state_report as report_state
 from sms_jobs.records.subject import Subject
