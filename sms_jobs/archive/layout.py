@@ -51,6 +51,16 @@ def folder(subject: Subject) -> str:
     return "/".join(parts)
 
 
+def folder_of(relative: str) -> str:
+    """Return the folder of a file, as `folder` makes it of a subject."""
+    return relative.rpartition("/")[0]
+
+
+def campaign_of(relative: str) -> str:
+    """Return the campaign in whose folder a file or a folder lies; `CALIBRATIONS` of one of a rig."""
+    return relative.partition("/")[0]
+
+
 def identity(provenance: Provenance) -> str:
     """Return what tells a file from others of its kind and second: the job, or the absence of one."""
     return provenance.job_id or NO_JOB

@@ -182,7 +182,7 @@ def apply(
 
 
 def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime) -> None:
-    name = path.split("/", 1)[0]
+    name = layout.campaign_of(path)
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
     if not path.endswith("/") and archive.has(path):

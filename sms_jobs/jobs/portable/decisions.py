@@ -81,7 +81,7 @@ def _new_campaigns(
     with catalogue.reading() as session:
         registered = set(session.scalars(select(CampaignRow.name)))
     for path in _of_kind(brought, listed, CAMPAIGN):
-        if path.split("/", 1)[0] not in registered and _is_whole(brought, path, checker):
+        if layout.campaign_of(path) not in registered and _is_whole(brought, path, checker):
             try:
                 with brought.open_unrecorded(path) as dataset:
                     yield dataset.read(CAMPAIGN, CampaignDefinition).campaign

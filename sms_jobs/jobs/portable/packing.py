@@ -166,13 +166,12 @@ def _inputs(session: Session, numbers: Collection[int]) -> set[int]:
 
 
 def _part(row: FileRow) -> Part:
-    about = "/".join(row.path.split("/")[:-1])
     return Part(
         row.path,
         row.content_hash,
         row.size_bytes,
         row.media_type,
-        f"{row.source} of {about}",
+        f"{row.source} of {layout.folder_of(row.path)}",
         row.created_at,
     )
 

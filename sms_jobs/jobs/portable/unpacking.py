@@ -155,7 +155,7 @@ def enter(
         mine = {path for path in coming if path is not None and not archive.has(path)}
         for path in sorted(mine):
             archive.adopt(path, brought, link=link)
-        names = {path.split("/", 1)[0] for path in brought.files() if path in listed}
+        names = {layout.campaign_of(path) for path in brought.files() if path in listed}
         new = seal_missing(catalogue, archive, decided, names, now)
         mine |= new
         for path in reindexing.unknown_files(catalogue, brought):

@@ -92,7 +92,7 @@ def _order(path: str) -> tuple[bool, str, int, str]:
 
 
 def _job(path: str) -> tuple[str, str, str]:
-    return path.split("/", 1)[0], layout.part(path, "kind"), layout.part(path, "job")
+    return layout.campaign_of(path), layout.part(path, "kind"), layout.part(path, "job")
 
 
 def reindex(
@@ -121,7 +121,7 @@ def reindex(
     for path in sorted(archive.files(), key=_order):
         of_jobs.setdefault(_job(path), []).append(path)
         if layout.part(path, "kind") == CAMPAIGN:
-            definitions.setdefault(path.split("/", 1)[0], []).append(path)
+            definitions.setdefault(layout.campaign_of(path), []).append(path)
     waiting = set(paths)
     with nullcontext(checker) if checker else Checker() as reader:
         archived = _Archived(archive, reader, of_jobs, PastDefinitions(archive, reader, definitions))
