@@ -89,7 +89,7 @@ def _first_views(campaign: Campaign, subject: Subject) -> dict[str, str]:
 def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Iterator[Output]:
     """Write the surfaces of a state: a file for each format, and for each camera if it is over an image."""
     progress(0.0, "reading")
-    name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
+    name = inputs.subject.in_filename
     textures = {camera: _texture(inputs, view) for camera, view in inputs.context.items()}
     found = inputs.each(_MERGED, MESH)
     for number, product in enumerate(found):

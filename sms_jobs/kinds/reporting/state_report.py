@@ -36,7 +36,7 @@ def run(inputs: Inputs, parameters: report.PageParameters, progress: Progress) -
     campaign: Campaign = inputs.context
     sampling = Sampling(parameters.map_px, parameters.figure_width_px)
     pages = ReportPages(inputs, campaign, sampling, campaign.states[1:], progress)
-    name = f"{campaign.name}-{inputs.subject.state}-report.html"
+    name = f"{inputs.subject.in_filename}-report.html"
     yield DocumentOutput(inputs.subject, report.PAGE, name, pages.write_page)
     progress(1.0, "wrote the report")
 

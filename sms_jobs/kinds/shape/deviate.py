@@ -133,7 +133,7 @@ def run(inputs: Inputs, parameters: DeviateParameters, progress: Progress) -> It
     products[REGISTRATION] = _record(reference, registration)
     products[MESH] = _mesh(views, fields, parameters.mesh_step_px)
     yield DatasetOutput(inputs.subject, products, statistics)
-    name = "-".join(part for part in (inputs.subject.campaign, inputs.subject.state) if part)
+    name = inputs.subject.in_filename
     for camera, field in fields.items():
         yield DocumentOutput(
             inputs.subject,
