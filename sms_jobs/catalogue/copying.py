@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Table as SqlTable
-from sqlalchemy import bindparam, func, insert, inspect, select, text, update
+from sqlalchemy import bindparam, func, insert, select, text, update
 from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session
 
@@ -62,18 +62,11 @@ def prepare(target: Catalogue) -> None:
     Raises
     ------
     Conflict
-        There are rows in it, or tables of something else.
+        There are rows in it.
     ConfigurationError, OtherFormat
-        Its schema is not the one that this version works with.
+        It is another program's, or its schema is not the one that this version works with.
     """
     if schema.current_revision(target) is None:
-        with target.reading() as session:
-            names = inspect(session.connection()).get_table_names()
-        if names:
-            raise Conflict(
-                f"{target.describe()} is not empty: it has a table '{names[0]}' that is not the catalogue's; "
-                "give a database of its own"
-            )
         schema.upgrade(target)
     schema.require_current(target)
     differences = schema.differences_from_models(target)

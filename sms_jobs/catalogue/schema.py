@@ -66,8 +66,8 @@ def current_revision(catalogue: Catalogue) -> str | None:
             return None
         if "alembic_version" not in tables:
             raise ConfigurationError(
-                f"the database {catalogue.describe()} holds tables of another program ({tables[0]} and "
-                f"{len(tables) - 1} more); give database_url a database of its own"
+                f"the database {catalogue.describe()} is another program's (it has a table '{tables[0]}'); "
+                "give the catalogue a database of its own"
             )
         found: str | None = session.scalar(text("SELECT version_num FROM alembic_version"))
         return found

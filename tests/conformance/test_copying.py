@@ -137,7 +137,7 @@ def test_what_is_not_empty_is_refused_and_kept(lived_in: Catalogue, other: Catal
 def test_a_database_of_something_else_is_refused(other: Catalogue) -> None:
     with other.writing() as session:
         session.execute(text("CREATE TABLE bookings (id integer)"))
-    with pytest.raises(Conflict, match="'bookings'"):
+    with pytest.raises(ConfigurationError, match="'bookings'"):
         copying.prepare(other)
 
 

@@ -9,6 +9,7 @@ from support.command import inside
 from support.deployments import Deployment
 from support.homes import make_home
 
+from sms_jobs.bench.large import many_files
 from sms_jobs.catalogue import upkeep
 from sms_jobs.catalogue.database import Catalogue
 
@@ -25,7 +26,7 @@ def looked_at(catalogue: Catalogue) -> set[str]:
 
 def test_what_has_been_filled_is_looked_at(catalogue: Catalogue) -> None:
     assert looked_at(catalogue) & {"file", "statistic", "job"} == set()
-    catalogue.fill(catalogue, 640)
+    many_files.fill(catalogue, 640)
     assert {"file", "statistic", "job"} <= looked_at(catalogue)
     upkeep.analyse(catalogue)  # again, while it is in use
     assert {"file", "statistic", "job"} <= looked_at(catalogue)

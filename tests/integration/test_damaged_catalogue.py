@@ -145,6 +145,6 @@ def test_a_database_of_another_program_is_given_no_tables(
     for command_line in (("init",), ("archive", "reindex"), ("status",), ("db", "upgrade")):
         done = inside(*command_line, "--home", str(home / "home"))
         assert done.returncode == ConfigurationError.exit_code, command_line
-        assert "holds tables of another program (address and 0 more)" in done.stderr
+        assert "is another program's (it has a table 'address')" in done.stderr
     with closing(sqlite3.connect(stranger)) as connection:
         assert connection.execute("SELECT name FROM sqlite_schema").fetchall() == [("address",)]
