@@ -9,7 +9,8 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import specimen_frames
-from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf, Place
+from sms_jobs.app.specimens.frame_choice import Choice, Place
+from sms_jobs.app.specimens.specimen_frames import FrameOf
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput

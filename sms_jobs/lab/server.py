@@ -17,7 +17,8 @@ from pydantic import TypeAdapter
 
 from sms_jobs.app.holdings import reading
 from sms_jobs.app.holdings.reading import RecordParts, StoredRecord
-from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf
+from sms_jobs.app.specimens.frame_choice import Choice
+from sms_jobs.app.specimens.specimen_frames import FrameOf
 from sms_jobs.app.work.jobs import Explanation, Refusal, Submitted, Work
 from sms_jobs.app.work.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection

@@ -13,7 +13,8 @@ from sms_jobs.app.holdings import finding, reading
 from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.app.holdings.reading import StoredRecord
 from sms_jobs.app.specimens import campaigns, specimen_frames
-from sms_jobs.app.specimens.specimen_frames import Choice, FrameOf
+from sms_jobs.app.specimens.frame_choice import Choice
+from sms_jobs.app.specimens.specimen_frames import FrameOf
 from sms_jobs.app.work import jobs, run_comparison, waiting
 from sms_jobs.app.work.jobs import Explanation, Submitted, Work
 from sms_jobs.app.work.waiting import Waited

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.app.specimens.frame_choice import Choice, Place
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.calibration.point_factor import KnownView, point_factor, sigma_of
@@ -31,9 +32,6 @@ from sms_jobs.metrology.targets.marks import mark_at
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.specimen_frame import FrameDeviation, FramePoint, SpecimenFrame, Vector
-
-if TYPE_CHECKING:
-    from sms_jobs.app.specimens.specimen_frames import Choice, Place
 
 Floats: TypeAlias = NDArray[np.float64]
 

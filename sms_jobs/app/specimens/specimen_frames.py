@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.app.specimens import campaigns
+from sms_jobs.app.specimens.frame_choice import Choice, in_world
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns as campaign_rows
 from sms_jobs.errors import InvalidInput, NotFound
@@ -21,38 +22,7 @@ if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign
     from sms_jobs.records.specimen_frame import SpecimenFrame
 
-Place: TypeAlias = tuple[float, ...]
-"""A pixel, column and row, of the reference image, or X, Y, Z of the world in mm."""
-
 _FOLLOW = ("strain", "gauges")
-
-
-@dataclass(frozen=True)
-class Choice:
-    """How a frame is to be found.
-
-    Attributes
-    ----------
-    x
-        A point of the x axis.
-    origin
-        None for the middle of the region.
-    plane
-        A third point, of the xy plane; None where a plane is fitted.
-    region
-        Outlines of a region of the image, as correlate takes them, to whose surface a plane is fitted.
-    view
-        Whose reference surface pixels are of; the first that measures shape if it is None.
-    markers
-        Whether pixels point at round marks, whose middles are taken.
-    """
-
-    x: Place
-    origin: Place | None = None
-    plane: Place | None = None
-    region: str = ""
-    view: str | None = None
-    markers: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,7 +78,7 @@ def find(services: Services, name: str, choice: Choice) -> FrameOf:
     from sms_jobs.app.specimens import frame_finding
 
     before = _test(services, name)
-    if _in_world(choice):
+    if in_world(choice):
         frame = frame_finding.through_world_points(choice)
     else:
         frame = _on_surface(services, before, choice)
@@ -146,22 +116,6 @@ def _amend(services: Services, before: Campaign, after: Campaign) -> None:
 
     if after != before:
         amend_campaign(services.catalogue, services.archive, before, after, datetime.now(UTC))
-
-
-def _in_world(choice: Choice) -> bool:
-    """Say whether the points are of the world; `InvalidInput` where they are neither, or of both."""
-    sizes = {len(one) for one in (choice.origin, choice.x, choice.plane) if one is not None}
-    if sizes not in ({2}, {3}):
-        raise InvalidInput(
-            "give all points as pixels, column,row, or all as places of the world, X,Y,Z in mm"
-        )
-    if (choice.plane is None) == (not choice.region):
-        raise InvalidInput("give a third point by --plane, or a region to fit a plane to by --fit")
-    if choice.origin is None and not choice.region:
-        raise InvalidInput("give the origin by --origin; only a fitted region has a middle of its own")
-    if sizes == {3} and (choice.region or choice.markers or choice.view):
-        raise InvalidInput("--fit, --markers and --view are for pixels; give the points as column,row")
-    return sizes == {3}
 
 
 def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> SpecimenFrame:

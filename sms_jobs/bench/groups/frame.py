@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.app.specimens.frame_finding import Finder
-from sms_jobs.app.specimens.specimen_frames import Choice
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.metrology.geometry.camera import project

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from sms_jobs.app.specimens import specimen_frames
-from sms_jobs.app.specimens.specimen_frames import Choice
+from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.records.specimen_frame import SpecimenFrame
 from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting

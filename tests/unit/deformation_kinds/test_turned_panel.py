@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sms_jobs.app.specimens.frame_choice import Choice, Place
 from sms_jobs.app.specimens.frame_finding import Finder
 from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
-from sms_jobs.app.specimens.specimen_frames import Choice, Place
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import known_view
 from sms_jobs.kinds.deformation import correlate, gauges, merge, strain
