@@ -15,7 +15,6 @@ from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.planning.chosen import submitted
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
-from sms_jobs.kinds.parameters import checked_parameters
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ def _rehearsed(services: Services, campaign: Campaign, parameters: StreamParamet
 
 def _asked(services: Services, task: Task) -> tuple[bool, Campaign, StreamParameters]:
     """Return whether the campaign is there, as which it is or is to be made, and what is asked of its job."""
-    from sms_jobs.kinds.recording.stream import KIND, StreamParameters, campaigns_of_cameras
+    from sms_jobs.kinds.recording.stream import KIND, campaigns_of_cameras
 
     existing = existing_campaign(services, task.campaign)
     campaign = _new(task) if existing is None else existing
@@ -162,8 +161,7 @@ def _asked(services: Services, task: Task) -> tuple[bool, Campaign, StreamParame
     if task.around is not None:
         event = task.around.in_unit(services.stations.unit(campaign.rig, task.around.channel))
         given |= vars(event)
-    parameters = checked_parameters(KIND, campaign.processing.get(KIND.name, {}) | given)
-    assert isinstance(parameters, StreamParameters)
+    parameters = KIND.checked_parameters(campaign.processing.get(KIND.name, {}) | given)
     return existing is not None, campaign, parameters
 
 

@@ -22,7 +22,6 @@ from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN, calibration_f
 from sms_jobs.jobs.archiving.repository import Repository, brought_in
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.kinds.parameters import checked_parameters
 from sms_jobs.kinds.products import CALIBRATED, Product
 from sms_jobs.records.calibration import Acceptance
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
@@ -50,7 +49,7 @@ def register_campaign(
         It sets a parameter that its job kind does not take; nothing is changed.
     """
     for name, parameters in campaign.processing.items():
-        checked_parameters(kind_named(name), parameters)
+        kind_named(name).checked_parameters(parameters)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
     with Repository(catalogue, archive).batch() as batch:

@@ -20,7 +20,7 @@ from sms_jobs.kinds.kind import (
     default_subjects,
     pipeline_subjects,
 )
-from sms_jobs.kinds.parameters import Parameters, checked_parameters
+from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def plan_possible(
     """
     requested = _expand(campaign, requests)
     parameters = {
-        name: checked_parameters(one.kind, {**campaign.processing.get(name, {}), **one.request.parameters})
+        name: one.kind.checked_parameters({**campaign.processing.get(name, {}), **one.request.parameters})
         for name, one in requested.items()
     }
     asked = {(name, subject): None for name, one in requested.items() for subject in _selected(one)}

@@ -20,7 +20,6 @@ from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.parameters import checked_parameters
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.kinds.recording.adaptation import QUICK
 from sms_jobs.metrology.geometry.stage_poses import StagePose
@@ -52,8 +51,7 @@ def dry_run(
     spool, archive
         The folder and the archive whose disks are to hold the frames.
     """
-    parameters = checked_parameters(KIND, campaign.processing.get(KIND.name, {}))
-    assert isinstance(parameters, AcquireParameters)
+    parameters = KIND.checked_parameters(campaign.processing.get(KIND.name, {}))
     missing = [*_missing_sensors(rig, campaign), *_missing_channels(rig, parameters)]
     rehearsed: dict[str, StateRehearsal] = {}
     if not missing:

@@ -14,7 +14,6 @@ from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import DatasetOutput
-from sms_jobs.kinds.parameters import checked_parameters
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.phase.patterns import direction, span_px
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps, Surface
@@ -278,7 +277,7 @@ def test_a_method_says_which_sequence_it_needs() -> None:
     with pytest.raises(
         InvalidInput, match=r"returns.*temporal unwrapping knows one return only; set method=fdr"
     ):
-        checked_parameters(KIND, {"returns": "2"})
-    assert checked_parameters(KIND, {"method": "fdr", "returns": "2"}).model_dump()["returns"] == 2
+        KIND.checked_parameters({"returns": "2"})
+    assert KIND.checked_parameters({"method": "fdr", "returns": "2"}).model_dump()["returns"] == 2
     with pytest.raises(InvalidInput, match=r"'returns' .* less than or equal to 4"):
-        checked_parameters(KIND, {"method": "fdr", "returns": "5"})
+        KIND.checked_parameters({"method": "fdr", "returns": "5"})
