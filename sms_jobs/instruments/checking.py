@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from sms_jobs.instruments.cameras.scanner import ScannerCamera
-from sms_jobs.instruments.recorder import ConnectedRig
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
 
 DARK, NOW = "dark", "now"

@@ -11,6 +11,7 @@ from types import TracebackType
 from sms_jobs.errors import InstrumentError, NotFound
 from sms_jobs.instruments.cameras.scanner import ScannerCamera
 from sms_jobs.instruments.clock import Clock, RealClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.devices.connecting import Connector
 from sms_jobs.instruments.devices.device import Device
 from sms_jobs.instruments.devices.pan_tilt import PanTilt
@@ -25,7 +26,6 @@ from sms_jobs.instruments.optical_drivers import (
     projector_drivers,
 )
 from sms_jobs.instruments.protocols import Camera, Fired, Lamp, SoftwareTrigger, StandingLamp
-from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.scanners.client import links
 from sms_jobs.instruments.simulated.lamp import RoomLamp
 from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, VirtualRoom

@@ -13,12 +13,13 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import DeviceFault, FrameLost, InstrumentError
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits, drifted, far_apart, judged, judged_image, wanting
 from sms_jobs.instruments.kept_sets import (
     SIMULATION,
@@ -34,9 +35,6 @@ from sms_jobs.instruments.spool import Spooled, SpoolHeader
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.recording import Verdict
 from sms_jobs.records.units import unit_of_name
-
-if TYPE_CHECKING:
-    from sms_jobs.instruments.recorder import ConnectedRig
 
 FRAME_TIMEOUT_S = 5.0
 _TRIES = 3

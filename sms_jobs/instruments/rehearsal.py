@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InstrumentError
 from sms_jobs.instruments.clock import Clock, SimulatedClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame
-from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import Adaptation
 from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter

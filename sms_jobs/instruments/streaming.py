@@ -23,6 +23,7 @@ import psutil
 
 from sms_jobs.errors import FrameLost, InvalidInput, StorageFull
 from sms_jobs.instruments.channel_watch import ChannelWatch
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.frame_ring import FrameRing
 from sms_jobs.instruments.kept_sets import SIMULATION
 from sms_jobs.instruments.kept_streams import (
@@ -33,7 +34,7 @@ from sms_jobs.instruments.kept_streams import (
     readings_path,
 )
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame, apart_s
-from sms_jobs.instruments.recorder import ConnectedRig, quietly
+from sms_jobs.instruments.recorder import quietly
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S, require_size
 from sms_jobs.instruments.spool import SpoolHeader, SpoolWriter
 from sms_jobs.records.events import Event

@@ -7,6 +7,8 @@ import re
 import sys
 import tomllib
 from collections import Counter
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -35,6 +37,22 @@ def name_of(node: ast.AST) -> str:
     return ast.unparse(node).rpartition(".")[2]
 
 
+def module_name(path: Path) -> str:
+    """Return the name that a module is imported by."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    inside = parts if parts[0] == "sms_jobs" else ("sms_jobs", *parts)
+    return ".".join(inside[:-1] if inside[-1] == "__init__" else inside)
+
+
+def imported_names(tree: ast.AST) -> Iterator[str]:
+    """Yield what a module may import: modules, and names of modules, wherever in it that stands."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
 def packages(lock: str) -> dict[str, set[str]]:
     """Return the versions of each package of a lock; platforms may differ."""
     found: dict[str, set[str]] = {}
@@ -56,6 +74,16 @@ def test_a_module_fits_in_the_head(path: Path) -> None:
             first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
             lines = (node.end_lineno or first.lineno) - first.lineno + 1
             assert lines <= LINES_IN_A_FUNCTION, f"{node.name} has {lines} lines"
+
+
+def test_no_module_needs_one_that_needs_it() -> None:
+    # An import within a function, or for types alone, hides a circle from Python, not from the reader.
+    modules = {module_name(path): path for path in SOURCES}
+    graph = {}
+    for name, path in modules.items():
+        named = imported_names(ast.parse(path.read_text(encoding="utf-8")))
+        graph[name] = {one if one in modules else one.rpartition(".")[0] for one in named} & modules.keys()
+    TopologicalSorter({name: needed - {name} for name, needed in graph.items()}).prepare()
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=relative)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.instruments.clock import RealClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import recorded
 from sms_jobs.instruments.protocols import CameraFacts, Frame
-from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.records.measurement import FringeSequence
 
 SIDE = 2048

@@ -15,9 +15,9 @@ from scipy import ndimage
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.bench.groups.recording import ReplayingCamera
 from sms_jobs.instruments.clock import RealClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.kept_streams import KeptStream, kept_stream
 from sms_jobs.instruments.protocols import CameraFacts
-from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.streaming import StreamOrder, stream
 from sms_jobs.jobs.archiving.repository import brought_in
 from sms_jobs.kinds.recording.stream import KIND, StreamParameters, states_of

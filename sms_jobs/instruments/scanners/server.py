@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InstrumentError, InvalidInput, LinkLost, SmsError
 from sms_jobs.instruments.clock import Clock, RealClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.protocols import Fired
-from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.scanners.door import Door
 from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, SETTING, Address, error_reply
 from sms_jobs.instruments.scanners.proof import SessionKeys

@@ -14,11 +14,12 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from sms_jobs.errors import InstrumentError, InvalidInput
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
 from sms_jobs.instruments.judging import APART_S, Limits
 from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
-from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.kinds.kind import (

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 import pytest
 
 from sms_jobs.instruments.clock import SimulatedClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.protocols import Channel
-from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.simulated.optics import Setting, SimulatedCamera, SimulatedProjector, VirtualRoom
 from sms_jobs.records.optical_instruments import OpticalFault
 from sms_jobs.records.sensors import Rig

@@ -15,11 +15,12 @@ from sms_jobs.errors import Cancelled, DeviceFault, InstrumentError, InvalidInpu
 from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.instruments import kept_sets
 from sms_jobs.instruments.clock import SimulatedClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import forget, interrupted, is_finished, kept, recorded
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, SoftwareTrigger
-from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
 from sms_jobs.instruments.rehearsal import rehearse
 from sms_jobs.instruments.simulated.lamp import RoomLamp

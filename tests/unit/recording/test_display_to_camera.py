@@ -20,13 +20,14 @@ from support.display import COLUMNS, ROWS, Display, display
 from sms_jobs.instruments.cameras import opencv
 from sms_jobs.instruments.cameras.opencv import OpencvSettings
 from sms_jobs.instruments.clock import RealClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import recorded
 from sms_jobs.instruments.optical_drivers import DriverContext
 from sms_jobs.instruments.projectors import window
 from sms_jobs.instruments.projectors.window import WindowSettings
 from sms_jobs.instruments.protocols import Camera, Fired, SoftwareTrigger
-from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.records.measurement import FringeSequence
 
 SEQUENCE = FringeSequence((5, 4), 4, (0.0, pi / 2))

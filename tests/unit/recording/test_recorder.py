@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import Cancelled, InstrumentError, InvalidInput, LinkLost, StorageFull
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import interrupted, is_finished, recorded
 from sms_jobs.instruments.protocols import CameraFacts
-from sms_jobs.instruments.recorder import ConnectedRig, record_state
+from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
 from sms_jobs.instruments.simulated.optics import SimulatedCamera, VirtualRoom
 from sms_jobs.instruments.simulated.rig import SimulatedRig

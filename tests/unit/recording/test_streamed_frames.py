@@ -13,11 +13,11 @@ import pytest
 
 from sms_jobs.errors import Cancelled, FrameLost, InstrumentError, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import RealClock
+from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.frame_ring import FrameRing
 from sms_jobs.instruments.holding import EventDetector
 from sms_jobs.instruments.kept_streams import frames_path, kept_stream, moments_path, readings_path, value_at
 from sms_jobs.instruments.protocols import CameraFacts, Frame
-from sms_jobs.instruments.recorder import ConnectedRig
 from sms_jobs.instruments.spool import Spooled
 from sms_jobs.instruments.streaming import StreamOrder, stream
 from sms_jobs.kinds.recording.stream import StreamParameters, states_of
