@@ -12,9 +12,6 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from pydantic import ValidationError
-
-from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.records.input_roles import role_at
@@ -315,16 +312,7 @@ class Kind(Generic[P]):
 
     def checked_parameters(self, given: Mapping[str, Any]) -> P:
         """Return the parameters, defaults filled in; raise `InvalidInput` for what the kind does not take."""
-        try:
-            return self.parameters.model_validate(dict(given))
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            name = ".".join(str(part) for part in first["loc"])
-            names = ", ".join(self.parameters.model_fields) or "none"
-            raise InvalidInput(
-                f"parameter '{name}' of {self.name} cannot be {first.get('input')!r}: {first['msg']}; "
-                f"its parameters are {names}"
-            ) from error
+        return self.parameters.checked(self.name, given)
 
     def checked_needs(self, campaign: Campaign, subject: Subject, parameters: P) -> tuple[Need, ...]:
         """Return every input of a job about a subject; raise `TypeError` for one that is not declared."""

@@ -1,11 +1,30 @@
-"""The parameters of job kinds: what may be chosen."""
+"""The parameters of job kinds: what may be chosen, and what is refused."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from sms_jobs.errors import InvalidInput
 
 
 class Parameters(BaseModel):
     """Base of every kind's parameters: immutable, unknown names refused, units in the names."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def checked(cls, kind: str, given: Mapping[str, Any]) -> Self:
+        """Return what a kind is given, defaults filled in; raise `InvalidInput` for what it does not take."""
+        try:
+            return cls.model_validate(dict(given))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            name = ".".join(str(part) for part in first["loc"])
+            names = ", ".join(cls.model_fields) or "none"
+            raise InvalidInput(
+                f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {first['msg']}; "
+                f"its parameters are {names}"
+            ) from error
