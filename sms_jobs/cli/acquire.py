@@ -14,8 +14,9 @@ from sms_jobs.app.measuring.recordings import Begun, Plan, Recorded
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output, planned_recordings, recorded_states, streams, waiting
 from sms_jobs.cli import dry_run as dry_run_
+from sms_jobs.cli.options import CampaignArgument, JobId, NoWait
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.planned_recordings import Ask, Campaign, Process
+from sms_jobs.cli.planned_recordings import Ask, Process
 from sms_jobs.errors import InvalidInput, JobFailed
 from sms_jobs.records.job import SHORT_ID
 from sms_jobs.records.statistic_names import (
@@ -34,14 +35,10 @@ app.add_typer(planned_recordings.app, name="plan")
 
 _FINDINGS = 6
 
-JobId = Annotated[
-    str, typer.Argument(help="Job id, or the beginning of one.", autocompletion=completion.job_ids)
-]
-
 
 @app.command()
 def run(
-    campaign: Campaign,
+    campaign: CampaignArgument,
     state: Annotated[
         list[str] | None,
         typer.Option(
@@ -56,7 +53,7 @@ def run(
     ] = False,
     ask: Ask = False,
     process: Process = False,
-    no_wait: Annotated[bool, typer.Option("--no-wait", help="Return at once.")] = False,
+    no_wait: NoWait = False,
     dry_run: Annotated[
         bool,
         typer.Option(
@@ -123,7 +120,7 @@ def _rehearse(services: Services, plan: Plan, as_json: bool) -> None:
 
 @app.command()
 def follow(
-    campaign: Campaign,
+    campaign: CampaignArgument,
     on: Annotated[
         str | None,
         typer.Option(help="Channel of the rig: a state is recorded when it holds the state's value."),

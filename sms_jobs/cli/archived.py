@@ -16,13 +16,13 @@ from sms_jobs.cli.found_files import (
     As,
     Columns,
     FindOptions,
-    Force,
     Limit,
     OfCampaign,
     OfState,
     OfView,
     Out,
 )
+from sms_jobs.cli.options import Force, Record, StoredFile
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import Ancestor
 from sms_jobs.records.sizes import size
@@ -30,8 +30,6 @@ from sms_jobs.records.sizes import size
 if TYPE_CHECKING:
     from rich.tree import Tree
 
-
-File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 
 _SHOWN_ALIKE = 8
 """Inputs of one source that a tree shows one by one; a calibration has a hundred."""
@@ -65,7 +63,7 @@ def find(
     found_files.tell(home, lambda _: asked, FindOptions(limit, after, columns, form, out, force, as_json))
 
 
-def show(file: File, home: Home = None, as_json: Json = False) -> None:
+def show(file: StoredFile, home: Home = None, as_json: Json = False) -> None:
     """Show a file: what it is about, its statistics, what was read while it was recorded, and its records.
 
     Example: sms data show 17
@@ -111,7 +109,7 @@ def show(file: File, home: Home = None, as_json: Json = False) -> None:
 
 
 def tree(
-    file: File,
+    file: StoredFile,
     whole: Annotated[bool, typer.Option("--all", help="Show every input, however many are alike.")] = False,
     down: Annotated[
         bool, typer.Option("--down", help="Show what was computed from it, and from that, instead.")
@@ -139,16 +137,16 @@ def tree(
 
 
 def plot(
-    file: File,
+    file: StoredFile,
     out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")],
-    record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
+    record: Record = None,
     field: Annotated[
         str | None, typer.Option(help="Field of the record; the first image if not given.")
     ] = None,
     component: Annotated[
         str | None, typer.Option(help="Component, e.g. Z or xx; the magnitude of a vector if not given.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     home: Home = None,
 ) -> None:
     """Draw an image field with colour bar and unit as PNG; of a camera alone, over its reference image.

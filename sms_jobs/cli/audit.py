@@ -12,6 +12,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.accounts import audit
 from sms_jobs.app.accounts.audit import Head
 from sms_jobs.cli import output
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.times import parsed_time
 
@@ -66,7 +67,7 @@ def list_(
 @app.command()
 def export(
     file: Annotated[Path, typer.Argument(help="File to write; ends in .csv, or in .jsonl for JSON lines.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:

@@ -11,6 +11,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaigns
 from sms_jobs.cli import completion, output, simulated, specimen_frame
+from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.units import typed
@@ -73,9 +74,7 @@ def create(
 
 @app.command("add-state")
 def add_state(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
+    campaign: CampaignArgument,
     label: Annotated[str, typer.Argument(help="Of the new state, such as S12.")],
     load: Annotated[
         str | None, typer.Option(help="As it is planned, with its unit, such as 20kN.", show_default=False)
@@ -102,9 +101,7 @@ def add_state(
 
 @app.command("add-view")
 def add_view(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
+    campaign: CampaignArgument,
     view: Annotated[str, typer.Argument(help="A camera with a projector or with others, or alone: C2P1.")],
     home: Home = None,
     as_json: Json = False,

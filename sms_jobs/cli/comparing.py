@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import writing
 from sms_jobs.app.fields import state_comparison
-from sms_jobs.app.fields.field_comparison import How, difference_of
+from sms_jobs.app.fields.field_comparison import Difference, How, difference_of
+from sms_jobs.app.fields.state_comparison import StateDifferences
 from sms_jobs.cli import output
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
+
+Align: TypeAlias = Annotated[
+    bool, typer.Option("--align", help="First lay the other shape on this one: they have two frames.")
+]
+FreeOfMotion: TypeAlias = Annotated[
+    bool, typer.Option("--free-of-motion", help="Leave out the rigid motion that they differ by.")
+]
+WithinMm: TypeAlias = Annotated[
+    float, typer.Option(help="Points with nothing of the other within this are left out, mm.", min=0.0)
+]
 
 
 def compare(
@@ -29,19 +41,13 @@ def compare(
         str | None, typer.Option(help="Displacement in the mesh file; the first with three components.")
     ] = None,
     scale_mm: Annotated[float, typer.Option(help="Length of the mesh file's unit in mm.", min=1e-9)] = 1.0,
-    align: Annotated[
-        bool, typer.Option("--align", help="First lay the other shape on this one: they have two frames.")
-    ] = False,
-    free: Annotated[
-        bool, typer.Option("--free-of-motion", help="Leave out the rigid motion that they differ by.")
-    ] = False,
-    within_mm: Annotated[
-        float, typer.Option(help="Points with nothing of the other within this are left out, mm.", min=0.0)
-    ] = 5.0,
+    align: Align = False,
+    free: FreeOfMotion = False,
+    within_mm: WithinMm = 5.0,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for maps.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -49,16 +55,12 @@ def compare(
 
     Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
     """
-    if out is not None:
-        writing.check_new_file(out, force, (".csv", ".png"))
+    _check(out, force)
     how = How(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
         found = difference_of(services, file, other, how)
     facts = found.facts()
-    if out is not None:
-        content = found.drawn(f"file {file} minus {other}") if out.suffix == ".png" else found.table()
-        writing.write_file(out, content, force)
-        output.say(f"wrote {out}")
+    _write(found, f"file {file} minus {other}", out, force)
     if as_json:
         output.print_json({"file": file, "other": other} | facts)
         return
@@ -80,20 +82,14 @@ def compare_states(
         str | None, typer.Option(help="Displacement in the mesh files; the first with three components.")
     ] = None,
     scale_mm: Annotated[float, typer.Option(help="Length of the mesh files' unit in mm.", min=1e-9)] = 1.0,
-    align: Annotated[
-        bool, typer.Option("--align", help="First lay the other shape on this one: they have two frames.")
-    ] = False,
-    free: Annotated[
-        bool, typer.Option("--free-of-motion", help="Leave out the rigid motion that they differ by.")
-    ] = False,
-    within_mm: Annotated[
-        float, typer.Option(help="Points with nothing of the other within this are left out, mm.", min=0.0)
-    ] = 5.0,
+    align: Align = False,
+    free: FreeOfMotion = False,
+    within_mm: WithinMm = 5.0,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for maps and rms."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -101,17 +97,11 @@ def compare_states(
 
     Example: sms data compare-states hat --with 'model/{state}.vtu' --free-of-motion --out states.png
     """
-    if out is not None:
-        writing.check_new_file(out, force, (".csv", ".png"))
+    _check(out, force)
     how = How(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
         found = state_comparison.compare_states(services, campaign, other, kind, how)
-    if out is not None:
-        drawn = out.suffix == ".png"
-        title = f"{campaign} minus {other}"
-        content = found.drawn(title) if drawn else found.table()
-        writing.write_file(out, content, force)
-        output.say(f"wrote {out}")
+    _write(found, f"{campaign} minus {other}", out, force)
     if as_json:
         output.print_json_list([one.named() for one in found.states])
         return
@@ -127,6 +117,20 @@ def compare_states(
     ]
     rows = [[_cell(cell) for cell in one.row()] for one in found.states]
     output.print_table(columns, rows, empty="")
+
+
+def _check(out: Path | None, force: bool) -> None:
+    """Raise for a file that could not be written when everything is compared."""
+    if out is not None:
+        writing.check_new_file(out, force, (".csv", ".png"))
+
+
+def _write(found: Difference | StateDifferences, title: str, out: Path | None, force: bool) -> None:
+    """Write what was compared, as maps or as numbers, where that is asked for."""
+    if out is not None:
+        content = found.drawn(title) if out.suffix == ".png" else found.table()
+        writing.write_file(out, content, force)
+        output.say(f"wrote {out}")
 
 
 def _number(value: float) -> str:

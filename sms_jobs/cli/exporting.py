@@ -11,6 +11,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.fields import exporting
 from sms_jobs.app.fields.exporting import Chosen, ExportOptions
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 
@@ -73,7 +74,7 @@ def export(
         Literal["world", "specimen"],
         typer.Option(help="Along whose axes shape and displacement are; see 'sms campaign frame'."),
     ] = "world",
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:

@@ -58,7 +58,6 @@ As = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", help="File to write, .csv or .parquet; else the screen.")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 
 _SHOWN = ("file", "kind", "subject", "type", "size", "created")
 _WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "created", "job")

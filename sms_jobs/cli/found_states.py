@@ -16,7 +16,6 @@ from sms_jobs.cli.found_files import (
     After,
     As,
     FindOptions,
-    Force,
     Format,
     Limit,
     OfCampaign,
@@ -24,6 +23,7 @@ from sms_jobs.cli.found_files import (
     OfView,
     Out,
 )
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.states import MET_BY, FoundState, StatePage, table_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
@@ -16,6 +16,7 @@ from sms_jobs.app.work.jobs import Refusal, Submitted, Work
 from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
+from sms_jobs.cli.options import CampaignOption, JobId, NoCache, Priority
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import as_json as outlook_as_json
 from sms_jobs.cli.waiting import estimate_text, followed, outlook_text
@@ -28,67 +29,65 @@ _MOST_REFUSED = 20
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
 
-Campaign = Annotated[
-    str | None,
-    typer.Option("--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names),
-]
-JobId = Annotated[
-    str, typer.Argument(help="Job id, or the beginning of one.", autocompletion=completion.job_ids)
-]
-
 JobIds = Annotated[
     list[str] | None,
     typer.Argument(help="Job ids, or the beginnings of them.", autocompletion=completion.job_ids),
+]
+Kinds: TypeAlias = Annotated[
+    list[str],
+    typer.Argument(
+        help="Job kinds, or 'pipeline' for all but simulate; see 'sms job kinds'.",
+        autocompletion=completion.kind_names,
+    ),
+]
+Where: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Instead of a campaign, the states that meet this question, across campaigns; see "
+        "'sms data states'."
+    ),
+]
+States: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(help="Only this state; can be repeated.", autocompletion=completion.state_labels),
+]
+Views: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(help="Only this view; can be repeated.", autocompletion=completion.view_names),
+]
+Settings: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE of the pipeline; can be repeated."
+    ),
+]
+Run: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--run",
+        help="Name of the run that the results belong to; see 'sms run --help'.",
+        autocompletion=completion.run_names,
+    ),
+]
+Wait: TypeAlias = Annotated[bool, typer.Option("--wait", help="Return when the jobs have ended.")]
+DryRun: TypeAlias = Annotated[
+    bool, typer.Option("--dry-run", help="Say what would be submitted and how long it would take.")
 ]
 
 
 @app.command(cls=KindCommand, context_settings=CONTEXT)
 def submit(
-    kind: Annotated[
-        list[str],
-        typer.Argument(
-            help="Job kinds, or 'pipeline' for all but simulate; see 'sms job kinds'.",
-            autocompletion=completion.kind_names,
-        ),
-    ],
-    campaign: Campaign = None,
-    where: Annotated[
-        str | None,
-        typer.Option(
-            help="Instead of a campaign, the states that meet this question, across campaigns; see "
-            "'sms data states'."
-        ),
-    ] = None,
-    state: Annotated[
-        list[str] | None,
-        typer.Option(help="Only this state; can be repeated.", autocompletion=completion.state_labels),
-    ] = None,
-    view: Annotated[
-        list[str] | None,
-        typer.Option(help="Only this view; can be repeated.", autocompletion=completion.view_names),
-    ] = None,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE of the pipeline; can be repeated."
-        ),
-    ] = None,
-    priority: Annotated[int, typer.Option(help="Higher runs earlier.", min=-100, max=100)] = 0,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Compute again what was computed before.")
-    ] = False,
-    run: Annotated[
-        str | None,
-        typer.Option(
-            "--run",
-            help="Name of the run that the results belong to; see 'sms run --help'.",
-            autocompletion=completion.run_names,
-        ),
-    ] = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Return when the jobs have ended.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be submitted and how long it would take.")
-    ] = False,
+    kind: Kinds,
+    campaign: CampaignOption = None,
+    where: Where = None,
+    state: States = None,
+    view: Views = None,
+    parameter: Settings = None,
+    priority: Priority = 0,
+    no_cache: NoCache = False,
+    run: Run = None,
+    wait: Wait = False,
+    dry_run: DryRun = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -210,7 +209,7 @@ def kinds(as_json: Json = False) -> None:
 
 @app.command("list")
 def list_(
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     state: Annotated[list[JobState] | None, typer.Option(help="Only in this state; can be repeated.")] = None,
     kind: Annotated[str | None, typer.Option(help="Only of this kind.")] = None,
     limit: Annotated[int, typer.Option(help="At most so many, the latest.", min=1, max=100_000)] = 50,
@@ -303,7 +302,7 @@ def logs(job: JobId, home: Home = None) -> None:
 @app.command()
 def watch(
     jobs: JobIds = None,
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -334,7 +333,7 @@ def watch(
 @app.command()
 def wait(
     jobs: JobIds = None,
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     timeout: Annotated[float | None, typer.Option(help="Seconds to wait at most.", min=0.0)] = None,
     home: Home = None,
     as_json: Json = False,
@@ -355,7 +354,7 @@ def wait(
 @app.command()
 def cancel(
     jobs: JobIds = None,
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     home: Home = None,
 ) -> None:
     """Cancel jobs; running ones stop at their next checkpoint, or are ended when they reach none.
@@ -370,7 +369,7 @@ def cancel(
 @app.command()
 def retry(
     jobs: JobIds = None,
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     home: Home = None,
 ) -> None:
     """Give jobs that ended without success another chance, with all that was skipped for them.

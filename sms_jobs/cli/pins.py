@@ -9,13 +9,12 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app.holdings import files
 from sms_jobs.cli import output
+from sms_jobs.cli.options import StoredFile
 from sms_jobs.cli.output import Home, Json
-
-File = Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")]
 
 
 def pin(
-    file: File,
+    file: StoredFile,
     reason: Annotated[str, typer.Option(help="Why it is kept.")] = "",
     home: Home = None,
 ) -> None:
@@ -28,7 +27,7 @@ def pin(
     output.say(f"file {view.id} is pinned")
 
 
-def unpin(file: File, home: Home = None) -> None:
+def unpin(file: StoredFile, home: Home = None) -> None:
     """Let a policy decide about a file again.
 
     Example: sms data unpin 17

@@ -14,6 +14,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings, quick_looks
 from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.gauge_limits import Look, gauge_limit
@@ -50,9 +51,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-Campaign = Annotated[
-    str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-]
 Ask = Annotated[
     bool, typer.Option("--ask", help="Ask an operator about a doubtful set instead of keeping it.")
 ]
@@ -73,7 +71,7 @@ States = Annotated[
 
 @app.command()
 def add(
-    campaign: Campaign,
+    campaign: CampaignArgument,
     on: Annotated[
         str | None,
         typer.Option(
@@ -213,7 +211,7 @@ def show(
 
 
 @app.command()
-def looks(campaign: Campaign, home: Home = None, as_json: Json = False) -> None:
+def looks(campaign: CampaignArgument, home: Home = None, as_json: Json = False) -> None:
     """Show what quick looks have found: shape, gauges in mm with standard deviations, and what is doubted.
 
     Example: sms acquire plan looks wing-fatigue
@@ -229,7 +227,7 @@ def looks(campaign: Campaign, home: Home = None, as_json: Json = False) -> None:
 
 
 @app.command()
-def watch(campaign: Campaign, home: Home = None) -> None:
+def watch(campaign: CampaignArgument, home: Home = None) -> None:
     """Tell what happens to a plan until it has ended, or until Ctrl-C; the bell rings when it is stopped.
 
     Example: sms acquire plan watch wing-fatigue
@@ -288,7 +286,7 @@ def _gauge_words(gauge: GaugeLook) -> str:
 
 
 @app.command()
-def hold(campaign: Campaign, states: States = None, home: Home = None) -> None:
+def hold(campaign: CampaignArgument, states: States = None, home: Home = None) -> None:
     """Hold the plan back, or some of its states; those behind them wait, too. What is being recorded goes on.
 
     Example: sms acquire plan hold wing-fatigue
@@ -299,7 +297,7 @@ def hold(campaign: Campaign, states: States = None, home: Home = None) -> None:
 
 
 @app.command()
-def go(campaign: Campaign, states: States = None, home: Home = None) -> None:
+def go(campaign: CampaignArgument, states: States = None, home: Home = None) -> None:
     """Let what was held back go on.
 
     Example: sms acquire plan go wing-fatigue
@@ -310,7 +308,7 @@ def go(campaign: Campaign, states: States = None, home: Home = None) -> None:
 
 
 @app.command()
-def skip(campaign: Campaign, states: States = None, home: Home = None) -> None:
+def skip(campaign: CampaignArgument, states: States = None, home: Home = None) -> None:
     """Leave states out of the plan, the next one if none is named; the plan goes on with the one behind.
 
     Example: sms acquire plan skip wing-fatigue S05
@@ -322,7 +320,7 @@ def skip(campaign: Campaign, states: States = None, home: Home = None) -> None:
 
 @app.command()
 def move(
-    campaign: Campaign,
+    campaign: CampaignArgument,
     state: Annotated[
         str,
         typer.Argument(help="The state that is moved.", autocompletion=completion.state_labels),
@@ -346,7 +344,7 @@ def move(
 
 
 @app.command()
-def drop(campaign: Campaign, states: States = None, home: Home = None) -> None:
+def drop(campaign: CampaignArgument, states: States = None, home: Home = None) -> None:
     """Forget the plan of a campaign, or some of its states. What was recorded stays.
 
     Example: sms acquire plan drop wing-fatigue

@@ -13,13 +13,13 @@ from sms_jobs.app.holdings import packing
 from sms_jobs.app.holdings.packing import CheckedFolder
 from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.calibration.acceptance import used_for
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.sizes import size
 
 _FINDINGS = 6
 
 Folder = Annotated[Path, typer.Argument(help="Folder that 'sms data pack' made.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 
 
 def pack(

@@ -9,7 +9,8 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app.work import queues
 from sms_jobs.cli import output
-from sms_jobs.cli.job import Campaign, JobIds
+from sms_jobs.cli.job import JobIds
+from sms_jobs.cli.options import CampaignOption
 from sms_jobs.cli.output import Home, Json
 
 app = typer.Typer(help="Queues: what may begin, and in which order.", no_args_is_help=True)
@@ -67,7 +68,7 @@ def resume(names: Names = None, home: Home = None) -> None:
 def move(
     to: Annotated[Literal["front", "back"], typer.Argument(help="Where to.")],
     jobs: JobIds = None,
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     home: Home = None,
 ) -> None:
     """Bring jobs that have not begun before or behind all others.
@@ -85,7 +86,7 @@ def priority(
         int, typer.Argument(help="Higher runs earlier; 0 is usual. Write -- before a negative.")
     ],
     jobs: JobIds = None,
-    campaign: Campaign = None,
+    campaign: CampaignOption = None,
     home: Home = None,
 ) -> None:
     """Give jobs that have not begun another priority.

@@ -14,7 +14,8 @@ from rich.table import Table
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring import recordings
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import output
+from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.state_progress import StateProgress
 
@@ -23,9 +24,7 @@ _COLUMNS = ("state", "planned [N]", "read", "recording", "verdict", "processing"
 
 
 def show(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
+    campaign: CampaignArgument,
     watch: Annotated[
         bool, typer.Option("--watch", help="Go on showing it until Ctrl-C, every two seconds.")
     ] = False,

@@ -13,6 +13,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app import writing
 from sms_jobs.app.work import runs
 from sms_jobs.cli import bars, completion, output
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID
@@ -116,7 +117,7 @@ def compare(
         Path | None,
         typer.Option("--out", "-o", help="File to write: .html for a page with maps, .csv for numbers."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     limit: Limit = 50,
     home: Home = None,
     as_json: Json = False,

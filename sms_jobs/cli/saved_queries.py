@@ -9,7 +9,8 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app.holdings import finding
 from sms_jobs.cli import found_files, output
-from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Force, Limit, Out
+from sms_jobs.cli.found_files import After, As, Columns, FindOptions, Limit, Out
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import SmsError
 

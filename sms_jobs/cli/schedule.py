@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import typer
 
@@ -13,6 +13,7 @@ from sms_jobs.app.work import schedules
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.job import given_parameters
+from sms_jobs.cli.options import CampaignOption, NoCache, Priority
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 
@@ -20,61 +21,69 @@ app = typer.Typer(help="Schedules: jobs that are submitted at their time.", no_a
 
 Name = Annotated[str, typer.Argument(help="Name of the schedule.")]
 
+Kinds: TypeAlias = Annotated[
+    list[str],
+    typer.Argument(help="Job kinds, or 'pipeline'.", autocompletion=completion.kind_names),
+]
+Where: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Instead of a campaign, the states that meet this question when it fires; see 'sms data states'."
+    ),
+]
+Run: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Name of the run that the results belong to; --cron and --every add the time in UTC to it."
+    ),
+]
+Cron: TypeAlias = Annotated[str | None, typer.Option(help="Minute, hour, day, month, weekday.")]
+At: TypeAlias = Annotated[str | None, typer.Option(help="Once, at this time.")]
+Every: TypeAlias = Annotated[str | None, typer.Option(help="Again and again, after 30s, 10m, 2h or 1d.")]
+After: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Once, when all jobs of this campaign have ended.",
+        autocompletion=completion.campaign_names,
+    ),
+]
+Zone: TypeAlias = Annotated[
+    str | None, typer.Option(help="IANA time zone of the times; this machine's if not given.")
+]
+Missed: TypeAlias = Annotated[
+    Literal["skip", "once", "all"],
+    typer.Option(help="Times that passed with no service running: skip them, run once, or run all."),
+]
+Grace: TypeAlias = Annotated[
+    float, typer.Option(help="Seconds after which a time counts as missed.", min=1.0)
+]
+States: TypeAlias = Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")]
+Views: TypeAlias = Annotated[list[str] | None, typer.Option(help="Only this view; can be repeated.")]
+Settings: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE; can be repeated."),
+]
+
 
 @app.command()
 def add(
     name: Name,
-    kinds: Annotated[
-        list[str],
-        typer.Argument(help="Job kinds, or 'pipeline'.", autocompletion=completion.kind_names),
-    ],
-    campaign: Annotated[
-        str | None,
-        typer.Option(
-            "--campaign", "-c", help="Name of the campaign.", autocompletion=completion.campaign_names
-        ),
-    ] = None,
-    where: Annotated[
-        str | None,
-        typer.Option(
-            help="Instead of a campaign, the states that meet this question when it fires; see "
-            "'sms data states'."
-        ),
-    ] = None,
-    run: Annotated[
-        str | None,
-        typer.Option(
-            help="Name of the run that the results belong to; --cron and --every add the time in UTC to it."
-        ),
-    ] = None,
-    cron: Annotated[str | None, typer.Option(help="Minute, hour, day, month, weekday.")] = None,
-    at: Annotated[str | None, typer.Option(help="Once, at this time.")] = None,
-    every: Annotated[str | None, typer.Option(help="Again and again, after 30s, 10m, 2h or 1d.")] = None,
-    after: Annotated[
-        str | None,
-        typer.Option(
-            help="Once, when all jobs of this campaign have ended.",
-            autocompletion=completion.campaign_names,
-        ),
-    ] = None,
-    zone: Annotated[
-        str | None, typer.Option(help="IANA time zone of the times; this machine's if not given.")
-    ] = None,
-    missed: Annotated[
-        Literal["skip", "once", "all"],
-        typer.Option(help="Times that passed with no service running: skip them, run once, or run all."),
-    ] = "once",
-    grace: Annotated[float, typer.Option(help="Seconds after which a time counts as missed.", min=1.0)] = 300,
-    state: Annotated[list[str] | None, typer.Option(help="Only this state; can be repeated.")] = None,
-    view: Annotated[list[str] | None, typer.Option(help="Only this view; can be repeated.")] = None,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="NAME=VALUE of the kind, or KIND.NAME=VALUE; can be repeated."),
-    ] = None,
-    priority: Annotated[int, typer.Option(help="Higher runs earlier.", min=-100, max=100)] = 0,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Compute again what was computed before.")
-    ] = False,
+    kinds: Kinds,
+    campaign: CampaignOption = None,
+    where: Where = None,
+    run: Run = None,
+    cron: Cron = None,
+    at: At = None,
+    every: Every = None,
+    after: After = None,
+    zone: Zone = None,
+    missed: Missed = "once",
+    grace: Grace = 300,
+    state: States = None,
+    view: Views = None,
+    parameter: Settings = None,
+    priority: Priority = 0,
+    no_cache: NoCache = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:

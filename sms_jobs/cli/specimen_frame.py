@@ -11,7 +11,8 @@ from sms_jobs import bootstrap
 from sms_jobs.app.specimens import specimen_frames
 from sms_jobs.app.specimens.frame_choice import Choice, Place
 from sms_jobs.app.specimens.specimen_frames import FrameOf
-from sms_jobs.cli import completion, output
+from sms_jobs.cli import output
+from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 
@@ -20,9 +21,7 @@ if TYPE_CHECKING:
 
 
 def frame(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
+    campaign: CampaignArgument,
     origin: Annotated[
         str | None,
         typer.Option(

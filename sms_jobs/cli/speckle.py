@@ -10,6 +10,7 @@ import typer
 from sms_jobs.app import writing
 from sms_jobs.app.fields import textures
 from sms_jobs.cli import output
+from sms_jobs.cli.options import Force
 
 app = typer.Typer(help="Speckle patterns for specimens.", no_args_is_help=True)
 
@@ -32,7 +33,7 @@ def print_(
     mirrored: Annotated[
         bool, typer.Option("--mirrored", help="Exchange left and right, for transfer paper.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
 ) -> None:
     """Write a speckle pattern of exact physical size; print it at 100 %, without fitting to the page.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -11,7 +11,8 @@ from sms_jobs.app.measuring import recordings, streams
 from sms_jobs.app.measuring.recordings import Begun
 from sms_jobs.app.measuring.streams import Task
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli import completion, output, waiting
+from sms_jobs.cli import output, waiting
+from sms_jobs.cli.options import CampaignArgument, NoWait
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, JobFailed
 from sms_jobs.records.events import typed_event
@@ -25,63 +26,71 @@ _LONGEST_S = 7 * 86400.0
 _LONGEST_AROUND_S = 3600.0
 _FASTEST_HZ = 1e4
 
+Rate: TypeAlias = Annotated[str, typer.Option(help="Frames of each camera a second, such as 20Hz.")]
+For: TypeAlias = Annotated[
+    str,
+    typer.Option("--for", help="How long, such as 30s; with --around, how long the event is waited for."),
+]
+Around: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Keep the frames around this event: 'load_n > 20kN', 'load_n < 1kN' or 'load_n drops 2kN in "
+        "1s'. All are kept if not given.",
+        show_default=False,
+    ),
+]
+Before: TypeAlias = Annotated[
+    str | None, typer.Option(help="What is kept before the event, such as 5s.", show_default=False)
+]
+After: TypeAlias = Annotated[
+    str | None, typer.Option(help="What is kept after the event, such as 5s.", show_default=False)
+]
+Every: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        help="Make a state of every so manyth frame; those between are kept beside it.",
+        min=1,
+        max=100_000,
+    ),
+]
+Cameras: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="Names of the cameras, such as C1,C2; those of the campaign if not given."),
+]
+NewRig: TypeAlias = Annotated[
+    str | None, typer.Option(help="Make the campaign, for this rig, where there is none of its name.")
+]
+NewViews: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="Views of a campaign that is made, such as 'C1C2', or 'C1 C2' for each camera alone."),
+]
+Process: TypeAlias = Annotated[
+    bool, typer.Option("--process", help="Process the campaign when its frames are there.")
+]
+DryRun: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Record nothing; show what it takes of memory and disks, and what is missing for it. Exit "
+        "code 6 when something is.",
+    ),
+]
+
 
 def stream(
-    campaign: Annotated[
-        str, typer.Argument(help="Name of the campaign.", autocompletion=completion.campaign_names)
-    ],
-    rate: Annotated[str, typer.Option(help="Frames of each camera a second, such as 20Hz.")],
-    for_: Annotated[
-        str,
-        typer.Option("--for", help="How long, such as 30s; with --around, how long the event is waited for."),
-    ],
-    around: Annotated[
-        str | None,
-        typer.Option(
-            help="Keep the frames around this event: 'load_n > 20kN', 'load_n < 1kN' or 'load_n drops 2kN in "
-            "1s'. All are kept if not given.",
-            show_default=False,
-        ),
-    ] = None,
-    before: Annotated[
-        str | None, typer.Option(help="What is kept before the event, such as 5s.", show_default=False)
-    ] = None,
-    after: Annotated[
-        str | None, typer.Option(help="What is kept after the event, such as 5s.", show_default=False)
-    ] = None,
-    every: Annotated[
-        int,
-        typer.Option(
-            help="Make a state of every so manyth frame; those between are kept beside it.",
-            min=1,
-            max=100_000,
-        ),
-    ] = 1,
-    cameras: Annotated[
-        str | None,
-        typer.Option(help="Names of the cameras, such as C1,C2; those of the campaign if not given."),
-    ] = None,
-    rig: Annotated[
-        str | None, typer.Option(help="Make the campaign, for this rig, where there is none of its name.")
-    ] = None,
-    views: Annotated[
-        str | None,
-        typer.Option(
-            help="Views of a campaign that is made, such as 'C1C2', or 'C1 C2' for each camera alone."
-        ),
-    ] = None,
-    process: Annotated[
-        bool, typer.Option("--process", help="Process the campaign when its frames are there.")
-    ] = False,
-    no_wait: Annotated[bool, typer.Option("--no-wait", help="Return at once.")] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Record nothing; show what it takes of memory and disks, and what is missing for it. Exit "
-            "code 6 when something is.",
-        ),
-    ] = False,
+    campaign: CampaignArgument,
+    rate: Rate,
+    for_: For,
+    around: Around = None,
+    before: Before = None,
+    after: After = None,
+    every: Every = 1,
+    cameras: Cameras = None,
+    rig: NewRig = None,
+    views: NewViews = None,
+    process: Process = False,
+    no_wait: NoWait = False,
+    dry_run: DryRun = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:

@@ -13,10 +13,10 @@ from sms_jobs.app.fields import surface_fields
 from sms_jobs.app.fields.surface_fields import Gauges, Section
 from sms_jobs.app.fields.surface_fields import microstrain as _in
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.options import Force, Record, StoredFile
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 
-Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for a picture.")
 ]
@@ -67,12 +67,12 @@ def gauges(
 
 
 def section(
-    file: Annotated[str, typer.Argument(help="Number or archive path of a file; see 'sms data find'.")],
+    file: StoredFile,
     start: Annotated[
         str, typer.Option("--from", help="Start of the line, X,Y in mm; of a camera alone column,row in px.")
     ],
     end: Annotated[str, typer.Option("--to", help="End of the line, as --from.")],
-    record: Annotated[str | None, typer.Option(help="Record in the file; the first if not given.")] = None,
+    record: Record = None,
     field: Annotated[str | None, typer.Option(help="Field; the first image if not given.")] = None,
     step: Annotated[
         float, typer.Option(help="Distance of the points of the profile, mm or px.", min=1e-3)

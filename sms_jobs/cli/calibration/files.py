@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -14,6 +14,7 @@ from sms_jobs.app import writing
 from sms_jobs.app.calibrating import calibrations
 from sms_jobs.app.calibrating.calibrations import STYLES, Imported
 from sms_jobs.cli import output
+from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.times import parsed_time
@@ -43,7 +44,7 @@ def export(
             max=1000.0,
         ),
     ] = 5.0,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -68,43 +69,53 @@ def export(
     output.say(f"wrote {out}")
 
 
+Files: TypeAlias = Annotated[
+    list[Path], typer.Argument(help="Calibration file, or several that complete each other.")
+]
+Rig: TypeAlias = Annotated[str | None, typer.Option(help="Rig that it is of.", show_default=False)]
+ValidFrom: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--valid-from", help="From when it holds, as in 2026-05-04T10:00:00+02:00.", show_default=False
+    ),
+]
+Volume: TypeAlias = Annotated[
+    _Six | None,
+    typer.Option(
+        help="Measurement volume in the world's frame, in mm: its lower corner, then its upper. Of "
+        "cameras without projectors it is what they see together, if not given.",
+        metavar="X Y Z X Y Z",
+        show_default=False,
+    ),
+]
+Cameras: TypeAlias = Annotated[
+    list[str] | None, typer.Option(help="Name of a camera, in the order of the file.", show_default=False)
+]
+Projectors: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(help="Name of a projector, in the order of the file.", show_default=False),
+]
+Sizes: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Image size of a sensor whose size the file does not say, as in P1=1920x1080.",
+        show_default=False,
+    ),
+]
+UnitMm: TypeAlias = Annotated[
+    float, typer.Option("--unit-mm", help="Millimetres in the file's unit of length: 1000 for metres.")
+]
+
+
 def import_(
-    files: Annotated[
-        list[Path], typer.Argument(help="Calibration file, or several that complete each other.")
-    ],
-    rig: Annotated[str | None, typer.Option(help="Rig that it is of.", show_default=False)] = None,
-    valid_from: Annotated[
-        str | None,
-        typer.Option(
-            "--valid-from", help="From when it holds, as in 2026-05-04T10:00:00+02:00.", show_default=False
-        ),
-    ] = None,
-    volume: Annotated[
-        _Six | None,
-        typer.Option(
-            help="Measurement volume in the world's frame, in mm: its lower corner, then its upper. Of "
-            "cameras without projectors it is what they see together, if not given.",
-            metavar="X Y Z X Y Z",
-            show_default=False,
-        ),
-    ] = None,
-    camera: Annotated[
-        list[str] | None, typer.Option(help="Name of a camera, in the order of the file.", show_default=False)
-    ] = None,
-    projector: Annotated[
-        list[str] | None,
-        typer.Option(help="Name of a projector, in the order of the file.", show_default=False),
-    ] = None,
-    size: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Image size of a sensor whose size the file does not say, as in P1=1920x1080.",
-            show_default=False,
-        ),
-    ] = None,
-    unit_mm: Annotated[
-        float, typer.Option("--unit-mm", help="Millimetres in the file's unit of length: 1000 for metres.")
-    ] = 1.0,
+    files: Files,
+    rig: Rig = None,
+    valid_from: ValidFrom = None,
+    volume: Volume = None,
+    camera: Cameras = None,
+    projector: Projectors = None,
+    size: Sizes = None,
+    unit_mm: UnitMm = 1.0,
     home: Home = None,
     as_json: Json = False,
 ) -> None:

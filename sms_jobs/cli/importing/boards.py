@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -16,6 +16,8 @@ from sms_jobs.cli.importing.options import (
     CampaignName,
     DryRun,
     Flatness,
+    Folder,
+    LoneCamera,
     Newer,
     Only,
     PitchSigma,
@@ -29,35 +31,42 @@ from sms_jobs.records.sensors import Box
 
 _Six = tuple[float, float, float, float, float, float]
 
+Pattern: TypeAlias = Annotated[
+    str | None, typer.Option(help="File names, as dot_{state}_{camera}.png; * for anything.")
+]
+NewRig: TypeAlias = Annotated[str | None, typer.Option(help="Rig of a session that is to be made.")]
+BoardFile: TypeAlias = Annotated[
+    Path | None, typer.Option(help="File (TOML) that describes the board; see docs/calibration.md.")
+]
+Chessboard: TypeAlias = Annotated[
+    str | None, typer.Option(help="Instead of --board: inner corners of a chessboard, as 9x6.")
+]
+PitchMm: TypeAlias = Annotated[
+    float | None, typer.Option("--pitch-mm", help="Side of a square of the chessboard.", min=1e-3)
+]
+Volume: TypeAlias = Annotated[
+    _Six | None,
+    typer.Option(
+        help="Where the calibration is to hold, in the first board's frame in mm: lower, upper corner.",
+        metavar="X Y Z X Y Z",
+    ),
+]
+
 
 def boards(
-    folder: Annotated[Path, typer.Argument(help="Folder of the images; its sub-folders belong to it.")],
+    folder: Folder,
     campaign: CampaignName,
-    pattern: Annotated[
-        str | None, typer.Option(help="File names, as dot_{state}_{camera}.png; * for anything.")
-    ] = None,
+    pattern: Pattern = None,
     cameras: Cameras = None,
-    camera: Annotated[str | None, typer.Option(help="Camera, where the names do not say it: C1.")] = None,
+    camera: LoneCamera = None,
     only: Only = None,
-    rig: Annotated[str | None, typer.Option(help="Rig of a session that is to be made.")] = None,
-    board: Annotated[
-        Path | None, typer.Option(help="File (TOML) that describes the board; see docs/calibration.md.")
-    ] = None,
-    chessboard: Annotated[
-        str | None, typer.Option(help="Instead of --board: inner corners of a chessboard, as 9x6.")
-    ] = None,
-    pitch_mm: Annotated[
-        float | None, typer.Option("--pitch-mm", help="Side of a square of the chessboard.", min=1e-3)
-    ] = None,
+    rig: NewRig = None,
+    board: BoardFile = None,
+    chessboard: Chessboard = None,
+    pitch_mm: PitchMm = None,
     pitch_relative_sigma: PitchSigma = None,
     flatness_mm: Flatness = None,
-    volume: Annotated[
-        _Six | None,
-        typer.Option(
-            help="Where the calibration is to hold, in the first board's frame in mm: lower, upper corner.",
-            metavar="X Y Z X Y Z",
-        ),
-    ] = None,
+    volume: Volume = None,
     recorded_at: RecordedAt = None,
     add_states: AddStates = False,
     newer: Newer = False,

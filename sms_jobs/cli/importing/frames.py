@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
@@ -29,64 +29,82 @@ from sms_jobs.cli.importing.outcomes import MOST_SHOWN, confirm, tell_outcome, t
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 
+Folder: TypeAlias = Annotated[
+    Path, typer.Argument(help="Folder of the frames; its sub-folders belong to it.")
+]
+LayoutFile: TypeAlias = Annotated[Path | None, typer.Option(help="Layout file (TOML); see docs/import.md.")]
+Pattern: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="File names, as {state}/{view}/frame_{number}.bmp; * for anything."),
+]
+State: TypeAlias = Annotated[str | None, typer.Option(help="State, where the names do not say it.")]
+View: TypeAlias = Annotated[str | None, typer.Option(help="View, as C1P1, where the names do not say it.")]
+Densities: TypeAlias = Annotated[
+    str | None, typer.Option(help="Fringes across the projector, in order of recording: '16 1'.")
+]
+Steps: TypeAlias = Annotated[
+    str | None, typer.Option(help="Phase steps of all densities, or of each: '4', '3 1 1'.")
+]
+Orientations: TypeAlias = Annotated[
+    str | None, typer.Option(help="Directions in which the phase grows, in degrees: '0 90'.")
+]
+Shown: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--frames", help="What is recorded, in order: 'fringes gray white'; see docs/import.md."),
+]
+Order: TypeAlias = Annotated[
+    str | None, typer.Option(help="Of fringe frames, the slowest first: 'orientation density step'.")
+]
+GrayBits: TypeAlias = Annotated[
+    int | None, typer.Option("--gray-bits", help="Gray-code patterns an orientation.")
+]
+Direction: TypeAlias = Annotated[
+    int | None, typer.Option(help="1 if a step adds 2 pi / steps to the phase, -1 if it takes it off.")
+]
+Origin: TypeAlias = Annotated[
+    str | None, typer.Option(help="Where the first step has the phase --offset-deg: middle or edge.")
+]
+OffsetDeg: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--offset-deg", help="Phase of the first step there: 0 for a cosine, -90 for a sine."),
+]
+NewRig: TypeAlias = Annotated[str | None, typer.Option(help="Rig of a campaign that is to be made.")]
+NewPlan: TypeAlias = Annotated[
+    Path | None, typer.Option(help="Test plan of a campaign that is to be made, instead of --rig.")
+]
+PrintLayout: TypeAlias = Annotated[
+    bool, typer.Option("--print-layout", help="Print the layout to correct and give back, and end.")
+]
+
 
 def frames(
-    folder: Annotated[Path, typer.Argument(help="Folder of the frames; its sub-folders belong to it.")],
+    folder: Folder,
     campaign: CampaignName,
-    layout: Annotated[Path | None, typer.Option(help="Layout file (TOML); see docs/import.md.")] = None,
-    pattern: Annotated[
-        str | None,
-        typer.Option(help="File names, as {state}/{view}/frame_{number}.bmp; * for anything."),
-    ] = None,
-    state: Annotated[str | None, typer.Option(help="State, where the names do not say it.")] = None,
-    view: Annotated[str | None, typer.Option(help="View, as C1P1, where the names do not say it.")] = None,
-    densities: Annotated[
-        str | None, typer.Option(help="Fringes across the projector, in order of recording: '16 1'.")
-    ] = None,
-    steps: Annotated[
-        str | None, typer.Option(help="Phase steps of all densities, or of each: '4', '3 1 1'.")
-    ] = None,
-    orientations: Annotated[
-        str | None, typer.Option(help="Directions in which the phase grows, in degrees: '0 90'.")
-    ] = None,
-    shown: Annotated[
-        str | None,
-        typer.Option(
-            "--frames", help="What is recorded, in order: 'fringes gray white'; see docs/import.md."
-        ),
-    ] = None,
-    order: Annotated[
-        str | None, typer.Option(help="Of fringe frames, the slowest first: 'orientation density step'.")
-    ] = None,
-    gray_bits: Annotated[
-        int | None, typer.Option("--gray-bits", help="Gray-code patterns an orientation.")
-    ] = None,
-    direction: Annotated[
-        int | None, typer.Option(help="1 if a step adds 2 pi / steps to the phase, -1 if it takes it off.")
-    ] = None,
-    origin: Annotated[
-        str | None, typer.Option(help="Where the first step has the phase --offset-deg: middle or edge.")
-    ] = None,
-    offset_deg: Annotated[
-        float | None,
-        typer.Option("--offset-deg", help="Phase of the first step there: 0 for a cosine, -90 for a sine."),
-    ] = None,
+    layout: LayoutFile = None,
+    pattern: Pattern = None,
+    state: State = None,
+    view: View = None,
+    densities: Densities = None,
+    steps: Steps = None,
+    orientations: Orientations = None,
+    shown: Shown = None,
+    order: Order = None,
+    gray_bits: GrayBits = None,
+    direction: Direction = None,
+    origin: Origin = None,
+    offset_deg: OffsetDeg = None,
     full_scale: FullScale = None,
     gain: Gain = None,
     read_noise: ReadNoise = None,
     raw: Raw = None,
     only: Only = None,
-    rig: Annotated[str | None, typer.Option(help="Rig of a campaign that is to be made.")] = None,
+    rig: NewRig = None,
     specimen: SpecimenName = None,
-    plan: Annotated[
-        Path | None, typer.Option(help="Test plan of a campaign that is to be made, instead of --rig.")
-    ] = None,
+    plan: NewPlan = None,
     recorded_at: RecordedAt = None,
     add_states: AddStates = False,
     newer: Newer = False,
-    print_layout: Annotated[
-        bool, typer.Option("--print-layout", help="Print the layout to correct and give back, and end.")
-    ] = False,
+    print_layout: PrintLayout = False,
     dry_run: DryRun = False,
     yes: Yes = False,
     home: Home = None,
@@ -133,6 +151,13 @@ def frames(
         add_states=add_states,
         newer=newer,
     )
+    _import(home, task, print_layout=print_layout, ask=not (yes or layout), dry_run=dry_run, as_json=as_json)
+
+
+def _import(
+    home: Path | None, task: Task, *, print_layout: bool, ask: bool, dry_run: bool, as_json: bool
+) -> None:
+    """Show what the files are taken for, ask whether that is right, and enter them."""
     with bootstrap.services(home) as services:
         guessed = guess(services, task)
         if print_layout:
@@ -140,11 +165,11 @@ def frames(
             return
         arranged = arrange_frames(services, guessed)
         _preview(arranged)
-        if not (yes or dry_run or layout is not None):
+        if ask and not dry_run:
             confirm("Is this right?")
         with bars.followed(bars.progress_bar()) as tell:
             outcome = enter(services, arranged, dry_run=dry_run, tell=tell)
-    tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
+    tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=task.campaign, then="pipeline")
 
 
 def _whole_or_not(text: str) -> int | float:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -16,8 +15,10 @@ from sms_jobs.cli.importing.options import (
     Cameras,
     CampaignName,
     DryRun,
+    Folder,
     FullScale,
     Gain,
+    LoneCamera,
     Newer,
     Only,
     Raw,
@@ -29,26 +30,32 @@ from sms_jobs.cli.importing.options import (
 from sms_jobs.cli.importing.outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
 
+Pattern: TypeAlias = Annotated[
+    str | None, typer.Option(help="File names, as {camera}/load_{state}.tif; * for anything.")
+]
+Views: TypeAlias = Annotated[
+    str | None, typer.Option(help="Which cameras measure together, as 'C1C2 C2C3'; all if not given.")
+]
+Alone: TypeAlias = Annotated[
+    bool, typer.Option("--alone", help="Each camera measures alone, in the plane of its image.")
+]
+Reference: TypeAlias = Annotated[
+    str | None, typer.Option(help="State that displacements start from; the first if not given.")
+]
+NewRig: TypeAlias = Annotated[str, typer.Option(help="Rig of a campaign that is to be made.")]
+
 
 def images(
-    folder: Annotated[Path, typer.Argument(help="Folder of the images; its sub-folders belong to it.")],
+    folder: Folder,
     campaign: CampaignName,
-    pattern: Annotated[
-        str | None, typer.Option(help="File names, as {camera}/load_{state}.tif; * for anything.")
-    ] = None,
+    pattern: Pattern = None,
     cameras: Cameras = None,
-    camera: Annotated[str | None, typer.Option(help="Camera, where the names do not say it: C1.")] = None,
-    views: Annotated[
-        str | None, typer.Option(help="Which cameras measure together, as 'C1C2 C2C3'; all if not given.")
-    ] = None,
-    alone: Annotated[
-        bool, typer.Option("--alone", help="Each camera measures alone, in the plane of its image.")
-    ] = False,
-    reference: Annotated[
-        str | None, typer.Option(help="State that displacements start from; the first if not given.")
-    ] = None,
+    camera: LoneCamera = None,
+    views: Views = None,
+    alone: Alone = False,
+    reference: Reference = None,
     only: Only = None,
-    rig: Annotated[str, typer.Option(help="Rig of a campaign that is to be made.")] = "camera",
+    rig: NewRig = "camera",
     specimen: SpecimenName = None,
     recorded_at: RecordedAt = None,
     full_scale: FullScale = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
@@ -65,4 +66,10 @@ Flatness: TypeAlias = Annotated[
         min=0.0,
         max=1e3,
     ),
+]
+Folder: TypeAlias = Annotated[
+    Path, typer.Argument(help="Folder of the images; its sub-folders belong to it.")
+]
+LoneCamera: TypeAlias = Annotated[
+    str | None, typer.Option("--camera", help="Camera, where the names do not say it: C1.")
 ]
