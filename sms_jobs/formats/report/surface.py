@@ -40,7 +40,8 @@ def reference_view(
     labels = regions.labels if regions is not None else None
     fields, statistics = _shape(surface, sampler) if surface.has_depth else ([], [])
     if measurement.texture.shape == surface.reason.shape:
-        fields.append(sampler.field(TEXTURE, "count", measurement.texture, still=True, outlines=labels))
+        texture = sampler.field(TEXTURE, "count", measurement.texture, still=True)
+        fields.append(sampler.outlined(texture, labels))
         statistics += texture_statistics(measurement, valid if labels is None else labels > 0)
     if surface.ray_gap is not None:
         gap = surface.ray_gap

@@ -191,12 +191,10 @@ class Sampler:
         scale: float = 1.0,
         still: bool = False,
         still_sigma: bool = False,
-        outlines: Labels | None = None,
         followed: bool = False,
         grain: float = 0.0,
     ) -> Field:
         """Return a field: `scale` times values (rows, columns) and their deviations are in `unit`."""
-        borders = None if outlines is None or not (still and self.still_px) else outlines
         return Field(
             name,
             unit,
@@ -204,10 +202,15 @@ class Sampler:
             None if sigma is None else self.samples(sigma, scale),
             still=self._printed(values, scale) if still else None,
             still_sigma=self._printed(sigma, scale) if still_sigma and sigma is not None else None,
-            outlines=None if borders is None else reduced(borders, self.still_px),
             followed=followed,
             grain=grain,
         )
+
+    def outlined(self, field: Field, labels: Labels | None) -> Field:
+        """Return a field with the borders of labels (rows, columns) on it where it is printed."""
+        if labels is None or field.still is None:
+            return field
+        return replace(field, outlines=reduced(labels, self.still_px))
 
     def _printed(self, values: ImageValues, scale: float) -> Values | None:
         if not self.still_px:
