@@ -99,6 +99,20 @@ def _first_depth(
 
 
 @inlined
+def _place(
+    direction: tuple[float, float, float], centre: Floats, depth: float, variance: float, xyz: Floats,
+    covariance: Floats, i: int,
+) -> None:  # fmt: skip
+    """Fill in point i: where it lies, at a depth in units of a ray's direction, and its covariance."""
+    at = 0
+    for m in range(3):
+        xyz[m, i] = centre[m] + depth * direction[m]
+        for n in range(m, 3):
+            covariance[at, i] = variance * direction[m] * direction[n]
+            at += 1
+
+
+@inlined
 def _is_seen(places: Floats, sigma: Floats, k: int, i: int) -> bool:
     return bool(np.isfinite(places[k, 0, i]) and sigma[k, 0, i] > 0.0 and sigma[k, 1, i] > 0.0)
 
@@ -202,21 +216,14 @@ def _meet_block(
             if not (np.isfinite(chi) and variance > 0.0):
                 chi = np.nan
                 break
-            depth += step_z
-            a += step_a
-            b += step_b
+            a, b, depth = a + step_a, b + step_b, depth + step_z
             if aa * step_a**2 + bb * step_b**2 + zz * step_z**2 < _STILL**2:
                 break
         if not (np.isfinite(chi) and depth > 0.0):
             gap[i] = np.nan
             continue
         chi_square[i], freedom[i] = chi, 2 * count - 1
-        at = 0
-        for m in range(3):
-            xyz[m, i] = centre[m] + depth * d[m]
-            for n in range(m, 3):
-                covariance[at, i] = variance * d[m] * d[n]
-                at += 1
+        _place(d, centre, depth, variance, xyz, covariance, i)
 
 
 def meet_rays(

@@ -208,22 +208,13 @@ def spread_matches(
     attempt(seeds.points[new], seeds.guess[new])
     fresh = np.union1d(seeds.points, mine)
     while True:
-        # Only a point beside one that has just been matched can have a better start than before.
-        beside = np.zeros(len(x) + 1, dtype=bool)  # the last is that of no neighbour, -1
-        beside[around[fresh[done[fresh]]]] = True
-        pending = np.flatnonzero(beside[:-1] & ~done & (attempts <= _ATTEMPTS))
-        near = around[pending]
-        usable = (near >= 0) & done[near]
-        scores = np.where(usable, found.score[near], -np.inf)
-        scores[:, NEAREST:] -= 1.0  # the second ring only where the first has nothing
-        best = np.argmax(scores, axis=1)
-        source = near[np.arange(len(pending)), best]
-        quality = scores[np.arange(len(pending)), best]
+        pending = _beside(fresh[done[fresh]], around, ~done & (attempts <= _ATTEMPTS))
+        source, quality = _best_neighbours(around[pending], done, found.score)
         better = (quality > -np.inf) & ((attempts[pending] == 0) | (quality > started_from[pending] + 1e-3))
-        pending, source = pending[better], source[better]
+        pending, source, quality = pending[better], source[better], quality[better]
         if len(pending) == 0:
             break
-        started_from[pending], fresh = quality[better], pending
+        started_from[pending], fresh = quality, pending
         attempt(pending, carried(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
 
     def refine(points: Ints, guess: Floats) -> tuple[Matches, NDArray[np.bool_]]:
@@ -240,6 +231,28 @@ def spread_matches(
     check_again(found, nodes, grid.outlier_ratio, refine)
     mark_left_image(found, nodes, images.labels, settings.radius)
     return GridMatches(x, y, found)
+
+
+def _beside(fresh: Ints, around: Ints, unsettled: NDArray[np.bool_]) -> Ints:
+    """Return which points that are open (n,) have a neighbour that has just been matched.
+
+    No other can have a better start than before.
+    """
+    beside = np.zeros(len(unsettled) + 1, dtype=bool)  # the last is that of no neighbour, -1
+    beside[around[fresh]] = True
+    return np.flatnonzero(beside[:-1] & unsettled)
+
+
+def _best_neighbours(near: Ints, done: NDArray[np.bool_], score: Floats) -> tuple[Ints, Floats]:
+    """Return which neighbour (m,) of each point is best matched, and its score; -inf where none is.
+
+    near is (m, neighbours), with -1 for none; done and score are those of all points.
+    """
+    scores = np.where((near >= 0) & done[near], score[near], -np.inf)
+    scores[:, NEAREST:] -= 1.0  # the second ring only where the first has nothing
+    best = np.argmax(scores, axis=1)
+    rows = np.arange(len(near))
+    return near[rows, best], scores[rows, best]
 
 
 def _shared(x: Ints, y: Ints, known: GridMatches | None) -> tuple[Ints, Ints]:
