@@ -25,7 +25,12 @@ SOURCES = sorted(
 TESTS = sorted(path for path in (ROOT / "tests").rglob("*.py") if "__pycache__" not in path.parts)
 
 LINES_IN_A_FILE = 450  # about 400, and an eighth more before anybody is stopped
-LINES_IN_A_FUNCTION = 70  # a tall screen, without the docstring
+LINES_IN_A_FUNCTION = 70  # a tall screen, signature and all, but for the docstring
+ARGUMENTS_OF_A_FUNCTION = 10
+KERNELS = {"kernel", "uncounted_kernel", "summing_kernel", "inlined"}
+
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def relative(path: Path) -> str:
@@ -53,6 +58,44 @@ def imported_names(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def functions(tree: ast.AST) -> Iterator[Function]:
+    """Yield all functions, those of classes and of functions too."""
+    return (node for node in ast.walk(tree) if isinstance(node, Function))
+
+
+def lines_of(node: Function | ast.stmt) -> int:
+    """Return over how many lines something goes, without decorators."""
+    return (node.end_lineno or node.lineno) - node.lineno + 1
+
+
+def arguments_of(function: Function) -> list[ast.arg]:
+    """Return all arguments, `self` as well."""
+    args = function.args
+    rest = [one for one in (args.vararg, args.kwarg) if one is not None]
+    return [*args.posonlyargs, *args.args, *args.kwonlyargs, *rest]
+
+
+def is_kernel(function: Function) -> bool:
+    """Say whether a function is compiled.
+
+    A kernel is handed arrays and numbers one by one: what bundles of them cost stands at `inlined`.
+    """
+    return any(isinstance(one, ast.Name) and one.id in KERNELS for one in function.decorator_list)
+
+
+def takes_options(function: Function) -> bool:
+    """Say whether the arguments are what a person may choose: of a command (--home), or of an address.
+
+    Such a function is called with names, by the command line or the server alone, and every argument is an
+    option that is documented where people look for it.
+    """
+    homes = (one.annotation for one in arguments_of(function) if one.arg == "home")
+    if any(isinstance(one, ast.Name) and one.id == "Home" for one in homes):
+        return True
+    calls = (one.func for one in function.decorator_list if isinstance(one, ast.Call))
+    return any(ast.unparse(one) == "ROUTES.offer" for one in calls)
+
+
 def packages(lock: str) -> dict[str, set[str]]:
     """Return the versions of each package of a lock; platforms may differ."""
     found: dict[str, set[str]] = {}
@@ -69,11 +112,19 @@ def test_a_module_fits_in_the_head(path: Path) -> None:
     if "versions" in path.parts:
         return  # a migration lists tables, one after the other
     assert len(text.splitlines()) <= LINES_IN_A_FILE
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
-            lines = (node.end_lineno or first.lineno) - first.lineno + 1
-            assert lines <= LINES_IN_A_FUNCTION, f"{node.name} has {lines} lines"
+    for function in functions(ast.parse(text)):
+        lines = lines_of(function)
+        if ast.get_docstring(function):
+            lines -= lines_of(function.body[0])
+        assert lines <= LINES_IN_A_FUNCTION, f"{function.name} has {lines} lines"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=relative)
+def test_what_a_function_takes_fits_in_the_head(path: Path) -> None:
+    for function in functions(ast.parse(path.read_text(encoding="utf-8"))):
+        if not (is_kernel(function) or takes_options(function)):
+            count = len(arguments_of(function))
+            assert count <= ARGUMENTS_OF_A_FUNCTION, f"{function.name} takes {count} arguments"
 
 
 def test_no_module_needs_one_that_needs_it() -> None:
