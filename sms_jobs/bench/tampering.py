@@ -30,7 +30,7 @@ from sms_jobs.errors import ArchiveCorrupt, OtherFormat, SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices.stations import Stations
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.results import reuse
 from sms_jobs.jobs.results.reuse import Earlier, EarlierFile
 from sms_jobs.jobs.running import recovery
@@ -142,7 +142,7 @@ class _Jobs:
         with self._catalogue.writing() as session:
             files = list(session.scalars(select(FileRow).order_by(FileRow.id)))
             request = Request(kind, states=("S01",))
-            (job,) = submit(session, "plate", [request], now(), use_cache=of_result).job_ids
+            (job,) = submit(session, "plate", [request], now(), Terms(use_cache=of_result)).job_ids
             earlier = _newest(session, kind)
             given = select(DependencyRow.file_id).where(DependencyRow.job_id == job)
             inputs = [file for file in files if file.id in set(session.scalars(given))]

@@ -19,7 +19,7 @@ from sms_jobs.catalogue.models import FileRow, JobRow, WorkerRow
 from sms_jobs.jobs.planning.chosen import named
 from sms_jobs.jobs.planning.estimates import estimate, pace
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.running import queues, recovery
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.estimates import Estimate
@@ -59,7 +59,7 @@ def add_campaign(catalogue: Catalogue, name: str, scale: int = 1) -> None:
 
 def submitted(catalogue: Catalogue, name: str, *kinds: str, priority: int = 0) -> tuple[str, ...]:
     with catalogue.writing() as session:
-        return submit(session, name, [Request(kind) for kind in kinds], NOW, priority=priority).job_ids
+        return submit(session, name, [Request(kind) for kind in kinds], NOW, Terms(priority=priority)).job_ids
 
 
 def let_all_succeed(

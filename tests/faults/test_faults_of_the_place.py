@@ -25,7 +25,7 @@ from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.keeping import verification
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.running import recovery
 from sms_jobs.records.job import JobState
 from sms_jobs.settings import Settings
@@ -45,7 +45,7 @@ def with_a_campaign(catalogue: Catalogue, archive: Archive) -> None:
 
 def submit_jobs(catalogue: Catalogue, *kinds: str) -> None:
     with catalogue.writing() as session:
-        submit(session, "plate", [Request(kind) for kind in kinds], Clock()(), use_cache=False)
+        submit(session, "plate", [Request(kind) for kind in kinds], Clock()(), Terms(use_cache=False))
 
 
 def jobs(catalogue: Catalogue) -> list[JobRow]:

@@ -26,7 +26,7 @@ from sms_jobs import bootstrap
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.records.job import ACTIVE, JobState
 
 CLOCK = r"""
@@ -173,7 +173,7 @@ def test_hosts_of_one_name_interrupt_nothing(
 
         with catalogue.writing() as session:
             for _ in range(submissions):
-                submit(session, "plate", [Request("simulate")], datetime.now(UTC), use_cache=False)
+                submit(session, "plate", [Request("simulate")], datetime.now(UTC), Terms(use_cache=False))
 
         def after(ended: int) -> bool:
             with catalogue.reading() as session:

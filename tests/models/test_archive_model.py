@@ -45,7 +45,7 @@ from sms_jobs.jobs.archiving.indexing import Entry
 from sms_jobs.jobs.archiving.repository import Repository
 from sms_jobs.jobs.keeping import repair, retention, verification
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.rebuilding import reindexing
 from sms_jobs.jobs.results import reuse
 from sms_jobs.jobs.running import lifecycle, recovery
@@ -103,7 +103,9 @@ class ArchiveCare(RuleBasedStateMachine):
         """Run a job to its end, or until it has sealed what it makes and fails."""
         try:
             with self.catalogue.writing() as session:
-                submit(session, "plate", [Request(kind, states=(state,))], self.clock(), use_cache=False)
+                submit(
+                    session, "plate", [Request(kind, states=(state,))], self.clock(), Terms(use_cache=False)
+                )
         except NotFound:
             assert kind == "reconstruct"
             assert not any(path.startswith(f"plate/{state}/") and "/simulate-" in path for path in self.known)

@@ -37,7 +37,7 @@ from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import Entry
 from sms_jobs.jobs.planning.chosen import named
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.results import reuse
 from sms_jobs.jobs.running import doorbell, lifecycle, orders, queues, recovery
 from sms_jobs.jobs.running.lifecycle import Claim
@@ -70,7 +70,9 @@ class JobLives(JobModel):
         self.now += timedelta(seconds=1)
         try:
             with self.catalogue.writing() as session:
-                done = submit(session, "plate", requests, self.now, priority=priority, use_cache=use_cache)
+                done = submit(
+                    session, "plate", requests, self.now, Terms(priority=priority, use_cache=use_cache)
+                )
                 if real:
                     # As a recording on a real rig, which cannot be asked for twice.
                     recordings = JobRow.id.in_(done.job_ids), JobRow.kind == "simulate"

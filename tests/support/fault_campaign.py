@@ -29,7 +29,7 @@ from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow, 
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.running import recovery
 from sms_jobs.jobs.running.origin import Origin
 from sms_jobs.jobs.running.witness import Witness
@@ -195,7 +195,7 @@ class FaultCampaign:
         labels = tuple(_label(k) for k in range(1, states + 1))
         with self.catalogue.writing() as session:
             requests = [Request(kind, states=labels) for kind in kinds]
-            done = submit(session, "plate", requests, datetime.now(UTC), use_cache=False)
+            done = submit(session, "plate", requests, datetime.now(UTC), Terms(use_cache=False))
         self.jobs += len(done.job_ids)
 
     def inject(self, name: str) -> bool:

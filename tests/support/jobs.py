@@ -12,7 +12,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning.graph import Existing, Request, plan
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.running import lifecycle
 from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.records.calibration import Acceptance
@@ -40,7 +40,7 @@ def submit_pipeline(
     with catalogue.writing() as session:
         campaigns.add_campaign(session, _campaign(name), NOW)
         add_calibration_file(session, name)
-        done = submit(session, name, REQUESTS, NOW, priority=priority)
+        done = submit(session, name, REQUESTS, NOW, Terms(priority=priority))
         if fail_with is not None:
             raise fail_with
     return done.job_ids

@@ -20,7 +20,7 @@ from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
-from sms_jobs.jobs.planning.submission import submit_to
+from sms_jobs.jobs.planning.submission import Terms, submit_to
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
@@ -115,8 +115,8 @@ def _register(services: Services, campaign: Campaign) -> None:
 
 
 def _submit(services: Services, campaign: str, requests: list[Request]) -> tuple[str, ...]:
-    now, by = datetime.now(UTC), services.actor.name
-    return submit_to(services.catalogue, campaign, requests, now, by=by).job_ids
+    now, terms = datetime.now(UTC), Terms(by=services.actor.name)
+    return submit_to(services.catalogue, campaign, requests, now, terms).job_ids
 
 
 def _succeed(services: Services, ids: Sequence[str], tell: Callable[[Waiting], None]) -> None:

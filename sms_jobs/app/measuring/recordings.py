@@ -17,7 +17,7 @@ from sms_jobs.instruments.holding import Hold, HoldDetector
 from sms_jobs.jobs.asking.campaign_progress import progress_of
 from sms_jobs.jobs.planning.chosen import Chosen, named, submitted
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
-from sms_jobs.jobs.planning.submission import submit_to
+from sms_jobs.jobs.planning.submission import Terms, submit_to
 from sms_jobs.jobs.recording import recordings
 from sms_jobs.jobs.recording.recordings import OpenRecording, PairVerdict, Turn, state_value
 from sms_jobs.jobs.running import orders
@@ -109,15 +109,16 @@ def record(
         Process each state as soon as it is recorded.
     """
     requests = recordings.requests(states, ask=ask, process=process)
-    done = submit_to(services.catalogue, campaign, requests, datetime.now(UTC), by=services.actor.name)
+    now, terms = datetime.now(UTC), Terms(by=services.actor.name)
+    done = submit_to(services.catalogue, campaign, requests, now, terms)
     return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
 
 
 @use_case(Right.COMPUTE)
 def process(services: Services, campaign: str) -> int:
     """Submit what follows from the recordings of a campaign, and return how many jobs that is."""
-    now, by = datetime.now(UTC), services.actor.name
-    return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], now, by=by).job_ids)
+    now, terms = datetime.now(UTC), Terms(by=services.actor.name)
+    return len(submit_to(services.catalogue, campaign, [Request(PIPELINE)], now, terms).job_ids)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.planning.chosen import submitted
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def begin(services: Services, task: Task) -> Begun:
     with services.catalogue.writing() as session:
         number = streams.next_number(session, campaign.name)
         request = Request(KIND.name, parameters.model_dump() | {"number": number})
-        done = submit(session, campaign.name, [request], now, by=services.actor.name)
+        done = submit(session, campaign.name, [request], now, Terms(by=services.actor.name))
     return Begun(done.job_ids, 1, submitted(done, KIND.name))
 
 

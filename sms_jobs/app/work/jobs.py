@@ -18,7 +18,7 @@ from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.estimates import estimate_planned, outlook
 from sms_jobs.jobs.planning.graph import PIPELINE, Refused, Request, given_parameters
-from sms_jobs.jobs.planning.submission import Submission, draft, enter, while_outdated
+from sms_jobs.jobs.planning.submission import Submission, Terms, draft, enter, while_outdated
 from sms_jobs.jobs.planning.turns import planning_turn
 from sms_jobs.jobs.running import crowds, orders
 from sms_jobs.jobs.running.logs import job_log
@@ -151,19 +151,12 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
         The run is kept as it is.
     """
     requests, now = work.requests, datetime.now(UTC)
+    terms = Terms(work.priority, work.use_cache, services.actor.name)
     _check_run(services, work.run)
 
     def attempt() -> tuple[Submission, Estimate, tuple[Refused, ...]]:
         with services.catalogue.reading() as session:
-            planned = draft(
-                session,
-                work.campaign,
-                requests,
-                now,
-                priority=work.priority,
-                use_cache=work.use_cache,
-                by=services.actor.name,
-            )
+            planned = draft(session, work.campaign, requests, now, terms)
             ahead = estimate_planned(session, planned, now, services.settings.workers)
         if dry_run:
             return planned.submission, ahead, planned.refused

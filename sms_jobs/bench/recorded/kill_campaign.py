@@ -25,7 +25,7 @@ from sms_jobs.catalogue.models import EventRow, FileRow, JobRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import submit
+from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -168,7 +168,7 @@ class KillCampaign:
             for _ in range(_WORK // 2):
                 # Whatever was computed before is computed again: of what is reused, nobody can be hit.
                 request = Request("simulate")
-                done = submit(session, "plate", [request], datetime.now(UTC), use_cache=False)
+                done = submit(session, "plate", [request], datetime.now(UTC), Terms(use_cache=False))
                 self._outcome.jobs += len(done.job_ids)
 
     def _hit(self, catalogue: Catalogue, supervisor: psutil.Process, hit: Hit) -> float:

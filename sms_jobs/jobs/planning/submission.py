@@ -55,6 +55,28 @@ _ID_BYTES = 8
 
 
 @dataclass(frozen=True)
+class Terms:
+    """On what terms jobs are submitted.
+
+    Attributes
+    ----------
+    priority
+        Higher runs earlier; equal ones run in order of submission.
+    use_cache
+        False to compute again what has been computed before.
+    by
+        The person, account or schedule that asks for it.
+    """
+
+    priority: int = 0
+    use_cache: bool = True
+    by: str = ""
+
+
+USUAL = Terms()
+
+
+@dataclass(frozen=True)
 class Submission:
     """The jobs of one submission, in an order in which each comes after those it needs."""
 
@@ -115,13 +137,10 @@ def submit(
     campaign_name: str,
     requests: Sequence[Request],
     now: datetime,
-    *,
-    priority: int = 0,
-    use_cache: bool = True,
-    by: str = "",
+    terms: Terms = USUAL,
 ) -> Submission:
     """Plan requests and enter their jobs in one writing session, as `submit_to` does in two."""
-    planned = draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache, by=by)
+    planned = draft(session, campaign_name, requests, now, terms)
     return enter(session, planned.whole())
 
 
@@ -130,10 +149,7 @@ def submit_to(
     campaign_name: str,
     requests: Sequence[Request],
     now: datetime,
-    *,
-    priority: int = 0,
-    use_cache: bool = True,
-    by: str = "",
+    terms: Terms = USUAL,
 ) -> Submission:
     """Plan requests and enter all their jobs or none; where something changes in between, plan again.
 
@@ -143,12 +159,6 @@ def submit_to(
         See `planning.plan_possible`.
     now
         With time zone.
-    priority
-        Higher runs earlier; equal ones run in order of submission.
-    use_cache
-        False to compute again what has been computed before.
-    by
-        The person, account or schedule that asks for it.
 
     Raises
     ------
@@ -160,7 +170,7 @@ def submit_to(
 
     def drafted() -> Draft:
         with catalogue.reading() as session:
-            return draft(session, campaign_name, requests, now, priority=priority, use_cache=use_cache, by=by)
+            return draft(session, campaign_name, requests, now, terms)
 
     def entered(planned: Draft) -> Submission:
         with catalogue.writing() as session:
@@ -184,10 +194,8 @@ def draft(
     campaign_name: str,
     requests: Sequence[Request],
     now: datetime,
+    terms: Terms = USUAL,
     *,
-    priority: int = 0,
-    use_cache: bool = True,
-    by: str = "",
     key: str = "",
 ) -> Draft:
     """Plan requests for the states that allow it, and write nothing; raises as `plan_possible` does.
@@ -237,7 +245,7 @@ def draft(
         ids,
         jobs,
         tuple(sorted(job_id for job_id in producers if job_id is not None)),
-        tuple(_rows(row.id, campaign, jobs, ids, now, priority, use_cache, by)),
+        tuple(_rows(row.id, campaign, jobs, ids, now, terms)),
         found.refused,
     )
 
@@ -319,9 +327,7 @@ def _rows(
     jobs: Sequence[PlannedJob],
     ids: Sequence[str],
     now: datetime,
-    priority: int,
-    use_cache: bool,
-    by: str,
+    terms: Terms,
 ) -> Iterator[TableRows]:
     """Yield what is to be entered, table by table, where there is anything."""
     queues = [job.kind.queue_for(campaign) for job in jobs]
@@ -330,9 +336,9 @@ def _rows(
     ]
     same = {
         "campaign_id": campaign_id,
-        "use_cache": use_cache,
+        "use_cache": terms.use_cache,
         "submitted_at": now,
-        "submitted_by": by,
+        "submitted_by": terms.by,
     }
     first = int(now.timestamp() * 1e6)
     submitted = [
@@ -341,7 +347,7 @@ def _rows(
             **same,
             "id": job_id,
             "queue": queue,
-            "priority": priority + job.priority,
+            "priority": terms.priority + job.priority,
             "position": first + place,
             "state": state,
         }

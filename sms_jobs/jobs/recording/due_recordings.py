@@ -24,7 +24,7 @@ from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.planning.submission import Draft, draft, enter, while_outdated
+from sms_jobs.jobs.planning.submission import Draft, Terms, draft, enter, while_outdated
 from sms_jobs.jobs.recording import planned_recordings, recordings
 from sms_jobs.jobs.recording.planned_recordings import Planned
 from sms_jobs.kinds.deformation.quick_look import KIND as LOOK
@@ -275,7 +275,7 @@ def _drafted(session: Session, one: Due, now: datetime) -> Draft:
     look = _look(session, one) if one.look else None
     wanted = recordings.requests((one.label,), ask=one.ask, process=one.process, look=look)
     by = f"plan of {one.planned_by}"[:80]
-    planned = draft(session, one.campaign, wanted, now, by=by, key=one.key).whole()
+    planned = draft(session, one.campaign, wanted, now, Terms(by=by), key=one.key).whole()
     other = _others(session, one.campaign, one.label)
     if other is not None and other != _recording(planned):  # its own: somebody was faster
         raise Conflict(

@@ -24,7 +24,7 @@ from sms_jobs.jobs.asking import runs
 from sms_jobs.jobs.asking.found_states import states_to_submit
 from sms_jobs.jobs.notifying import occurrences
 from sms_jobs.jobs.planning.graph import Existing, Request, given_parameters, plan
-from sms_jobs.jobs.planning.submission import Draft, draft, enter, while_outdated
+from sms_jobs.jobs.planning.submission import Draft, Terms, draft, enter, while_outdated
 from sms_jobs.jobs.scheduling.fire_times import (
     Expression,
     fire_times,
@@ -423,15 +423,8 @@ def _draft(session: Session, due: _Due, campaign: str, states: tuple[str, ...], 
     chosen = order.requests
     if order.where is not None:
         chosen = tuple(replace(request, states=states) for request in chosen)
-    return draft(
-        session,
-        campaign,
-        chosen,
-        now,
-        priority=order.priority,
-        use_cache=order.use_cache,
-        by=_by(due.schedule),
-    )
+    terms = Terms(order.priority, order.use_cache, _by(due.schedule))
+    return draft(session, campaign, chosen, now, terms)
 
 
 def _expression(row: ScheduleRow) -> Expression:
