@@ -16,14 +16,13 @@ from sms_jobs.jobs.keeping.repair import Repair
 from sms_jobs.jobs.keeping.retention import Removable
 from sms_jobs.jobs.keeping.verification import Checked, Finding
 from sms_jobs.jobs.rebuilding import reindexing
-from sms_jobs.jobs.rebuilding.reindexing import Reindexed
+from sms_jobs.jobs.rebuilding.reindexing import Reindexing
 from sms_jobs.jobs.recording import left_frames
 from sms_jobs.jobs.recording.left_frames import LeftFrames
 from sms_jobs.kinds import kind_named
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.archive_state import ArchiveState
 
-_ENTERED = ("indexed", "incomplete")
 _ENTERED_AT_ONCE = 100
 
 
@@ -112,28 +111,6 @@ def _checked(
         read += done.size_bytes
         tell(Step("verifying", read, size))
         yield done
-
-
-@dataclass(frozen=True)
-class Reindexing:
-    """What became of the files that the catalogue did not know."""
-
-    files: tuple[Reindexed, ...]
-
-    @property
-    def entered(self) -> int:
-        """How many are in the catalogue, or would be."""
-        return sum(one.outcome in _ENTERED for one in self.files)
-
-    @property
-    def not_well(self) -> tuple[Reindexed, ...]:
-        """Those that were refused, or lack an input."""
-        return tuple(one for one in self.files if one.outcome != "indexed")
-
-    @property
-    def size_bytes(self) -> int:
-        """Of all of them."""
-        return sum(one.size_bytes for one in self.files)
 
 
 @use_case(Right.ADMINISTER)

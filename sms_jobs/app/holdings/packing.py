@@ -18,13 +18,11 @@ from sms_jobs.formats.research_crate import CrateFile, as_text
 from sms_jobs.jobs.portable import lineage_documents, packing, unpacking
 from sms_jobs.jobs.portable.packing import PackOptions
 from sms_jobs.jobs.portable.unpacking import CheckedFile
-from sms_jobs.jobs.rebuilding.reindexing import Reindexed
+from sms_jobs.jobs.rebuilding.reindexing import Reindexing
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import CalibrationView
-
-_ENTERED = ("indexed", "incomplete")
 
 
 @dataclass(frozen=True)
@@ -121,21 +119,10 @@ def check(folder: Path, tell: Tell = nobody) -> CheckedFolder:
 
 
 @dataclass(frozen=True)
-class Unpacked:
+class Unpacked(Reindexing):
     """What became of the files of a packed folder that were new, and the calibrations among them."""
 
-    files: tuple[Reindexed, ...]
     calibrations: tuple[CalibrationView, ...]
-
-    @property
-    def entered(self) -> int:
-        """How many are in the catalogue, or would be."""
-        return sum(one.outcome in _ENTERED for one in self.files)
-
-    @property
-    def not_well(self) -> tuple[Reindexed, ...]:
-        """Those that were refused, or lack an input."""
-        return tuple(one for one in self.files if one.outcome != "indexed")
 
 
 @use_case(Right.COMPUTE)

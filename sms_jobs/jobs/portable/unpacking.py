@@ -169,10 +169,10 @@ def enter(
             new.add(path)
             placed(brought.size(path) or 0)
         paths = [path for path in reindexing.unknown_files(catalogue, archive) if path in new]
-        for entered in reindexing.reindex(catalogue, archive, paths, checker=reader):
-            if entered.outcome not in ("indexed", "incomplete") and entered.path in mine:
-                Repository(catalogue, archive).withdraw(entered.path)
-            yield entered
+        for one in reindexing.reindex(catalogue, archive, paths, checker=reader):
+            if not one.entered and one.path in mine:
+                Repository(catalogue, archive).withdraw(one.path)
+            yield one
 
 
 def _parts(path: str) -> tuple[str, ...]:

@@ -55,6 +55,33 @@ class Reindexed:
     size_bytes: int
     detail: str = ""
 
+    @property
+    def entered(self) -> bool:
+        """Whether it is in the catalogue, or would be."""
+        return self.outcome in ("indexed", "incomplete")
+
+
+@dataclass(frozen=True)
+class Reindexing:
+    """What became of the files that the catalogue did not know."""
+
+    files: tuple[Reindexed, ...]
+
+    @property
+    def entered(self) -> int:
+        """How many are in the catalogue, or would be."""
+        return sum(one.entered for one in self.files)
+
+    @property
+    def not_well(self) -> tuple[Reindexed, ...]:
+        """Those that were refused, or lack an input."""
+        return tuple(one for one in self.files if one.outcome != "indexed")
+
+    @property
+    def size_bytes(self) -> int:
+        """Of all of them."""
+        return sum(one.size_bytes for one in self.files)
+
 
 class _Refused(Exception):
     """Why a file is not entered."""
