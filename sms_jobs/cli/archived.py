@@ -60,7 +60,8 @@ def find(
     Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
     """
     asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
-    found_files.tell(home, lambda _: asked, FindOptions(limit, after, columns, form, out, force, as_json))
+    portion = finding.portion(columns, after, limit)
+    found_files.tell(home, lambda _: asked, FindOptions(portion, form, out, force, as_json))
 
 
 def show(file: StoredFile, home: Home = None, as_json: Json = False) -> None:

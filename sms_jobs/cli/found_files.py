@@ -15,11 +15,12 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import writing
 from sms_jobs.app.holdings import finding
-from sms_jobs.app.holdings.finding import OF_FILE, Question, column_names
+from sms_jobs.app.holdings.finding import OF_FILE, Question
 from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import completion, output
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.files import Found, Page
+from sms_jobs.records.shown.portion import Portion
 
 
 class Format(StrEnum):
@@ -67,9 +68,7 @@ _WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "cr
 class FindOptions:
     """Which of the files or states that meet a query are shown, and how."""
 
-    limit: int
-    after: int | None
-    columns: str | None
+    portion: Portion
     form: Format | None
     out: Path | None
     force: bool
@@ -79,18 +78,14 @@ class FindOptions:
 def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
     """Find files and print or write them."""
     form = form_of(options)
-    names = None if options.columns is None else column_names(options.columns)
     with bootstrap.services(home) as services:
-        pages = finding.find(services, ask(services), columns=names, after=options.after, limit=options.limit)
+        pages = finding.find(services, ask(services), options.portion)
         first = next(pages)
-        found = chain([first], pages)
-        _tell(first, found, names, form, options)
+        _tell(first, chain([first], pages), form, options)
 
 
-def _tell(
-    first: Page, pages: Iterator[Page], names: list[str] | None, form: Format, options: FindOptions
-) -> None:
-    last = first.next
+def _tell(first: Page, pages: Iterator[Page], form: Format, options: FindOptions) -> None:
+    last, names = first.next, options.portion.columns
 
     def files() -> Iterator[Found]:
         nonlocal last
@@ -167,7 +162,7 @@ def _row(one: Found, columns: Sequence[str]) -> list[Any]:
     return [_value(one, name) for name in columns]
 
 
-def _object(one: Found, names: list[str] | None) -> dict[str, Any]:
+def _object(one: Found, names: Sequence[str] | None) -> dict[str, Any]:
     if names is not None:
         return {name: _value(one, name) for name in names}
     return asdict(one.file) | ({"values": one.values} if one.values else {})

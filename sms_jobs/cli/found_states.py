@@ -9,7 +9,6 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.holdings import finding
-from sms_jobs.app.holdings.finding import column_names
 from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.cli import found_files, output
 from sms_jobs.cli.found_files import (
@@ -60,11 +59,10 @@ def states(
     Example: sms data states 'load > 50 kN and strain.valid_fraction < 0.8 and time in 2026-05'
     """
     asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
-    options = FindOptions(limit, after, columns, form, out, force, as_json)
+    options = FindOptions(finding.portion(columns, after, limit), form, out, force, as_json)
     form = found_files.form_of(options)
-    names = None if columns is None else column_names(columns)
     with bootstrap.services(home) as services:
-        pages = list(find_states(services, asked, columns=names, after=after, limit=limit))
+        pages = list(find_states(services, asked, options.portion))
     _tell(pages, form, options)
 
 

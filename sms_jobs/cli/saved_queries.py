@@ -90,7 +90,7 @@ def run(
     found_files.tell(
         home,
         lambda services: finding.saved_question(services, name),
-        FindOptions(limit, after, columns, form, out, force, as_json),
+        FindOptions(finding.portion(columns, after, limit), form, out, force, as_json),
     )
 
 

@@ -20,6 +20,7 @@ from sms_jobs.app.work.jobs import Explanation, Submitted, Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.portion import Portion
 from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import StatePage
 
@@ -100,11 +101,11 @@ class Home:
 
     def find(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[Page]:
         """Yield the files that meet a query, page by page; at least one page."""
-        return finding.find(self._services, finding.question(query), columns=columns, limit=limit)
+        return finding.find(self._services, finding.question(query), Portion(columns, limit=limit))
 
     def states(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterable[StatePage]:
         """Yield the states that meet a query, page by page; at least one page."""
-        return find_states(self._services, finding.question(query), columns=columns, limit=limit)
+        return find_states(self._services, finding.question(query), Portion(columns, limit=limit))
 
     def newest(self, subject: str, what: str) -> StoredRecord:
         """Return the newest record of a name, or of a kind, about a subject."""

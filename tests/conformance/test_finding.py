@@ -41,6 +41,7 @@ from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.cli.main import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.portion import Portion
 
 KINDS = frozenset({*many_files.KINDS, "calibration", "report"})
 KNOWN = Vocabulary(lambda: (KINDS, many_files.PARAMETERS))
@@ -49,7 +50,7 @@ LARGE = {"file", "statistic", "reading", "job", "measurement", "result", "calibr
 
 def ask(catalogue: Catalogue, text: str, **more: Any) -> Page:
     with catalogue.reading() as session:
-        return find_page(session, parse(text), KNOWN, **more)
+        return find_page(session, parse(text), KNOWN, Portion(**more))
 
 
 @dataclass(frozen=True)

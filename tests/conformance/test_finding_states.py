@@ -36,6 +36,7 @@ from sms_jobs.catalogue.queries.files import restricted
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.queries.states import find_page
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.shown.portion import Portion
 from sms_jobs.records.shown.states import FoundState, StatePage
 
 KNOWN = Vocabulary(lambda: (frozenset({*many_files.KINDS, "merge"}), many_files.PARAMETERS))
@@ -44,7 +45,7 @@ NAN = float("nan")
 
 def ask(catalogue: Catalogue, text: str, **more: Any) -> StatePage:
     with catalogue.reading() as session:
-        return find_page(session, parse(text), KNOWN, DATASET_MEDIA_TYPE, **more)
+        return find_page(session, parse(text), KNOWN, DATASET_MEDIA_TYPE, Portion(**more))
 
 
 def names(page: StatePage) -> list[str]:

@@ -22,6 +22,7 @@ from sms_jobs.jobs.devices.stations import Stations
 from sms_jobs.jobs.keeping import retention
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.portion import Portion
 
 RIG = """
 name = "small-virtual-rig"
@@ -66,7 +67,7 @@ def record(
 
 def ask(catalogue: Catalogue, text: str, columns: list[str] | None = None) -> Page:
     with catalogue.reading() as session:
-        return find_page(session, parse(text), vocabulary(), columns=columns, limit=1000)
+        return find_page(session, parse(text), vocabulary(), Portion(columns, limit=1000))
 
 
 def found(catalogue: Catalogue, text: str) -> set[tuple[str, str]]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import PurePosixPath
-from typing import Any
+from typing import Any, TypeVar
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -17,6 +17,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.asking.found_states import vocabulary
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import FileView, Found, Page
+from sms_jobs.records.shown.portion import FIRST, Portion
+from sms_jobs.records.shown.states import StatePage
 from sms_jobs.records.sizes import size
 
 OF_FILE: dict[str, Callable[[FileView], Any]] = {
@@ -33,7 +35,9 @@ OF_FILE: dict[str, Callable[[FileView], Any]] = {
 }
 """Columns that every file has."""
 _PAGE = 1000
-"""Files that are fetched at once, however many are asked for."""
+"""Files or states that are fetched at once, however many are asked for."""
+
+SomePage = TypeVar("SomePage", Page, StatePage)
 
 
 @dataclass(frozen=True)
@@ -66,25 +70,14 @@ def saved_question(services: Services, name: str) -> Question:
 
 
 @use_case(Right.READ)
-def find(
-    services: Services,
-    asked: Question,
-    *,
-    columns: Sequence[str] | None = None,
-    after: int | None = None,
-    limit: int = 50,
-) -> Iterator[Page]:
+def find(services: Services, asked: Question, told: Portion = FIRST) -> Iterator[Page]:
     """Yield the files that meet a question, the newest first, page by page; at least one page.
 
     Parameters
     ----------
-    columns
-        What to tell of each file: names of the query language, or of `OF_FILE`; what the question compares
-        if it is None.
-    after
-        `Page.next` of the last page that is known already.
-    limit
-        Of all pages together.
+    told
+        Of all pages together. Columns may be of `OF_FILE` as well; without any, files tell what the question
+        compares.
 
     Raises
     ------
@@ -93,21 +86,33 @@ def find(
     NotFound
         There is no such campaign or calibration.
     """
-    names = vocabulary()
+    names, columns = vocabulary(), told.columns
     extra = None if columns is None else [name for name in columns if name not in OF_FILE]
-    while True:
+
+    def page(part: Portion) -> Page:
         with services.catalogue.reading() as session:
-            page = files.find_page(
-                session, asked.query, names, columns=extra, after=after, limit=min(limit, _PAGE)
-            )
-        yield page if columns is None else _with_columns(page, columns)
-        limit, after = limit - len(page.found), page.next
-        if limit <= 0 or after is None:
+            found = files.find_page(session, asked.query, names, part)
+        return found if columns is None else _with_columns(found, columns)
+
+    return in_pages(replace(told, columns=extra), page)
+
+
+def in_pages(told: Portion, page: Callable[[Portion], SomePage]) -> Iterator[SomePage]:
+    """Yield page after page until a portion is whole or there is no more; at least one page."""
+    while True:
+        found = page(replace(told, limit=min(told.limit, _PAGE)))
+        yield found
+        told = replace(told, limit=told.limit - len(found.found), after=found.next)
+        if told.limit <= 0 or told.after is None:
             return
 
 
-def column_names(text: str) -> list[str]:
-    """Return the names of columns that are written with commas between; `InvalidInput` for an empty one."""
+def portion(columns: str | None, after: int | None, limit: int) -> Portion:
+    """Return a portion whose columns are written with commas between; `InvalidInput` for an empty name."""
+    return Portion(None if columns is None else _names(columns), after, limit)
+
+
+def _names(text: str) -> list[str]:
     names = list(dict.fromkeys(name.strip() for name in text.split(",")))
     if not all(names):
         raise InvalidInput(f"--columns '{text}' has an empty name; write them like file,subject,load_kN")

@@ -31,6 +31,7 @@ from sms_jobs.catalogue.queries.language import (
 from sms_jobs.catalogue.queries.names import Field
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.files import Found, Page
+from sms_jobs.records.shown.portion import FIRST, Portion
 
 FEW = 4000
 """Up to so many files are looked at one by one rather than walked over in order."""
@@ -40,10 +41,7 @@ def find_page(
     session: Session,
     query: Query,
     vocabulary: Vocabulary,
-    *,
-    columns: Sequence[str] | None = None,
-    after: int | None = None,
-    limit: int = 50,
+    portion: Portion = FIRST,
 ) -> Page:
     """Return the files that meet a query.
 
@@ -51,12 +49,8 @@ def find_page(
     ----------
     vocabulary
         What the program knows besides the catalogue.
-    columns
-        What to tell of each file; what the query asks about if it is None.
-    after
-        `Page.next` of the page before.
-    limit
-        Of the page.
+    portion
+        Which page; of each file it tells what the query asks about if no columns are named.
 
     Raises
     ------
@@ -67,8 +61,8 @@ def find_page(
     """
     _walk_indexes(session)
     fields = Fields(session, vocabulary)
-    asked = _asked(fields, query, columns)
-    ids = session.scalars(statement(session, query, fields, after=after, limit=limit + 1)).all()
+    asked, limit = _asked(fields, query, portion.columns), portion.limit
+    ids = session.scalars(statement(session, query, fields, after=portion.after, limit=limit + 1)).all()
     following = ids[limit - 1] if len(ids) > limit else None
     return Page(tuple(asked), tuple(_found_files(session, ids[:limit], asked)), following)
 

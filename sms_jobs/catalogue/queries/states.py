@@ -31,6 +31,7 @@ from sms_jobs.catalogue.queries.language import (
 from sms_jobs.catalogue.queries.names import Field
 from sms_jobs.catalogue.queries.state_fields import SEEN, StateField, StateFields, Told
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.shown.portion import FIRST, Portion
 from sms_jobs.records.shown.states import FoundState, StatePage, Value
 
 
@@ -39,10 +40,7 @@ def find_page(
     query: Query,
     vocabulary: Vocabulary,
     dataset_type: str,
-    *,
-    columns: Sequence[str] | None = None,
-    after: int | None = None,
-    limit: int = 50,
+    portion: Portion = FIRST,
 ) -> StatePage:
     """Return the states that meet a query.
 
@@ -52,12 +50,9 @@ def find_page(
         What the program knows besides the catalogue.
     dataset_type
         Media type of results.
-    columns
-        What to tell of each state; campaign, state, load, time and what the query asks about if it is None.
-    after
-        `StatePage.next` of the page before.
-    limit
-        Of the page.
+    portion
+        Which page; of each state it tells campaign, state, load, time and what the query asks about if no
+        columns are named.
 
     Raises
     ------
@@ -69,11 +64,11 @@ def find_page(
     if query.kind is not None:
         Fields(session, vocabulary).refuse_unknown_kind(query.kind, query.text)
     fields = StateFields(session, query, dataset_type)
-    asked = _asked(fields, query, columns)
+    asked, limit = _asked(fields, query, portion.columns), portion.limit
     conditions = _Conditions(session, query, fields)
     found = select(LoadStateRow.id).where(conditions.of_states())
-    if after is not None:
-        found = found.where(_after(session, after))
+    if portion.after is not None:
+        found = found.where(_after(session, portion.after))
     in_order = found.order_by(LoadStateRow.campaign_id.desc(), LoadStateRow.position, LoadStateRow.id)
     ids = session.scalars(in_order.limit(limit + 1)).all()
     following = ids[limit - 1] if len(ids) > limit else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
@@ -13,6 +15,7 @@ from sms_jobs.catalogue.queries.states import find_page
 from sms_jobs.errors import NotFound
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, REFERENCE_SURFACES
+from sms_jobs.records.shown.portion import Portion
 
 _PAGE = 1000
 
@@ -51,21 +54,14 @@ def states_to_submit(session: Session, where: str) -> dict[str, tuple[str, ...]]
     """
     query, words = parse(where), vocabulary()
     labels: dict[str, list[str]] = {}
-    after: int | None = None
+    portion = Portion(("campaign", "state"), limit=_PAGE)
     while True:
-        page = find_page(
-            session,
-            query,
-            words,
-            DATASET_MEDIA_TYPE,
-            columns=("campaign", "state"),
-            after=after,
-            limit=_PAGE,
-        )
+        page = find_page(session, query, words, DATASET_MEDIA_TYPE, portion)
         for one in page.found:
             labels.setdefault(str(one.values["campaign"]), []).append(str(one.values["state"]))
-        if (after := page.next) is None:
+        if page.next is None:
             break
+        portion = replace(portion, after=page.next)
     if not labels:
         raise NotFound(f"no state meets '{where}'; look with sms data states, then submit")
     counts = dict(

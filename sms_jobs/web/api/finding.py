@@ -13,15 +13,12 @@ from sms_jobs.app.holdings import finding
 from sms_jobs.app.holdings.finding import Question
 from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.bootstrap import Services
-from sms_jobs.records.shown.files import Page
 from sms_jobs.records.shown.states import FoundState
 from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("find")
-
-_MOST_COLUMNS = 100
 
 Limit = Annotated[int, Query(ge=1, le=1000, description="Of a page.")]
 After = Annotated[int | None, Query(ge=1, le=2**63 - 1, description="`next` of the page before.")]
@@ -114,8 +111,7 @@ def states(
 ) -> Any:
     """Find load states."""
     asked = finding.question(query, kind=kind, campaign=campaign, state=state, view=view)
-    names = None if columns is None else finding.column_names(columns)
-    page = next(find_states(services, asked, columns=names, after=after, limit=limit))
+    page = next(find_states(services, asked, finding.portion(columns, after, limit)))
     whole = [name for name in page.columns if name not in page.by_view]
     times = (n for n in whole if any(isinstance(one.values[n], datetime) for one in page.found))
     return answer(FoundStatesPage(page.columns, page.by_view, tuple(times), page.found, page.next))
@@ -147,8 +143,7 @@ def remove(services: Acting, name: Name) -> Any:
 
 
 def _page(services: Services, asked: Question, columns: str | None, limit: int, after: int | None) -> Any:
-    names = None if columns is None else finding.column_names(columns)
-    page: Page = next(finding.find(services, asked, columns=names, after=after, limit=limit))
+    page = next(finding.find(services, asked, finding.portion(columns, after, limit)))
     times = (n for n in page.columns if any(isinstance(one.values[n], datetime) for one in page.found))
     files = [asdict(one.file) | {"values": one.values} for one in page.found]
     return answer(FoundPage(page.columns, tuple(times), files, page.next))

@@ -36,7 +36,7 @@ def find(
     found, problem = Found((), (), None), ""
     try:
         question = finding.question(query, campaign=campaign or None)
-        found = next(finding.find(services, question, after=after, limit=limit))
+        found = next(finding.find(services, question, finding.portion(None, after, limit)))
     except (InvalidInput, NotFound) as error:
         problem = str(error)
     return page.render(
