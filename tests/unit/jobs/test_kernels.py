@@ -88,7 +88,7 @@ _SERVICE = textwrap.dedent(
     """
     import os, sys
     from pathlib import Path
-    from sms_jobs.jobs import kernels
+    from sms_jobs.jobs.running import kernels
     kernels.LIST = Path("list.txt")
     from sms_jobs.workers import preparation
     lifeline, _ = os.pipe()
