@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.app.importing.image_entry import (
     EnteredImages,
     GivenCamera,
+    How,
     arranged,
     inspect_images,
     make_campaign,
@@ -105,35 +105,18 @@ def arrange_boards(services: Services, task: Task) -> Arranged:
 
 
 @use_case(Right.COMPUTE)
-def enter(
-    services: Services,
-    found: Arranged,
-    *,
-    recorded_at: datetime | None = None,
-    newer: bool = False,
-    dry_run: bool = False,
-    tell: Tell = nobody,
-) -> Outcome:
+def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) -> Outcome:
     """Read all images, then enter those without fault as poses, and say what became of each.
 
-    Parameters
-    ----------
-    recorded_at
-        When; the files' times if it is None.
-    newer
-        Enter what differs from an image that is there as the newest.
-    dry_run
-        Read and check everything, and change nothing.
-    tell
-        Counts files that are read, then poses that are entered.
+    `tell` counts files that are read, then poses that are entered.
     """
     task, existing, settings = found.task, found.existing, GivenCamera()
     inspected = inspect_images(found.listing, found.arrangement, settings, tell)
     if existing is not None and existing.session is not None:
         inspected = board_images.of_known_size(inspected, _formats(existing))
     sensors = list(board_images.sizes(inspected).values())
-    if sensors and not dry_run:
-        poses = board_images.held_at(inspected, recorded_at)
+    if sensors and not how.dry_run:
+        poses = board_images.held_at(inspected, how.recorded_at)
         if existing is None:
             assert found.board is not None
             assert task.rig is not None
@@ -143,17 +126,7 @@ def enter(
         else:
             definition = board_images.with_poses(existing, poses)
         make_campaign(services, existing, definition)
-    images = EnteredImages(
-        services,
-        task.session,
-        found.listing,
-        settings,
-        recorded_at,
-        newer,
-        dry_run,
-        tell,
-        noise_counts=False,
-    )
+    images = EnteredImages(services, task.session, found.listing, settings, how, tell, noise_counts=False)
     return replace(images.all_of(inspected), left_out=found.arrangement.left_out)
 
 

@@ -102,6 +102,25 @@ def make_campaign(services: Services, existing: Campaign | None, definition: Cam
 
 
 @dataclass(frozen=True)
+class How:
+    """How images are entered.
+
+    Attributes
+    ----------
+    recorded_at
+        When they were recorded; the files' times if it is None.
+    newer
+        Enter what differs from an image that is there as the newest.
+    dry_run
+        Read and check everything, and change nothing.
+    """
+
+    recorded_at: datetime | None = None
+    newer: bool = False
+    dry_run: bool = False
+
+
+@dataclass(frozen=True)
 class EnteredImages:
     """Enters images one after the other; where their noise matters, what is assumed of it is reported."""
 
@@ -109,9 +128,7 @@ class EnteredImages:
     campaign: str
     listing: Listing
     settings: GivenCamera
-    recorded_at: datetime | None
-    newer: bool
-    dry_run: bool
+    how: How
     tell: Tell
     noise_counts: bool = True
 
@@ -146,11 +163,11 @@ class EnteredImages:
         known = known_of(self.services.catalogue, self.services.archive, subject, digest)
         if known.status == "there":
             return outcome_of(one, "already there", known.path)
-        if self.dry_run:
-            differs = known.status == "other" and not self.newer
+        if self.how.dry_run:
+            differs = known.status == "other" and not self.how.newer
             detail = "it has another image already: say --newer" if differs else ""
             return outcome_of(one, "refused" if differs else "would be imported", detail)
-        at = self.recorded_at or one.recorded_at
+        at = self.how.recorded_at or one.recorded_at
         try:
             done = import_measurement(
                 self.services.catalogue,
@@ -160,7 +177,7 @@ class EnteredImages:
                 digest,
                 {
                     "folder": str(self.listing.folder),
-                    "time_from": "given" if self.recorded_at else "files",
+                    "time_from": "given" if self.how.recorded_at else "files",
                     "remarks": list(one.remarks),
                     "files": [
                         {"name": name, "sha256": about.sha256, "shows": "image"}
@@ -168,7 +185,7 @@ class EnteredImages:
                     ],
                 },
                 datetime.now(UTC),
-                newer=self.newer,
+                newer=self.how.newer,
             )
         except (Conflict, InvalidInput) as error:
             return outcome_of(one, "refused", str(error))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 
 from sqlalchemy.orm import Session
@@ -12,6 +11,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.app.importing.image_entry import (
     EnteredImages,
     GivenCamera,
+    How,
     arranged,
     inspect_images,
     make_campaign,
@@ -160,37 +160,18 @@ def arrange_images(services: Services, task: Task) -> Arranged:
 
 
 @use_case(Right.COMPUTE)
-def enter(
-    services: Services,
-    found: Arranged,
-    *,
-    recorded_at: datetime | None = None,
-    newer: bool = False,
-    dry_run: bool = False,
-    tell: Tell = nobody,
-) -> Outcome:
+def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) -> Outcome:
     """Read all images, then enter those without fault, and say what became of each.
 
-    Parameters
-    ----------
-    recorded_at
-        When; the files' times if it is None.
-    newer
-        Enter what differs from an image that is there as the newest.
-    dry_run
-        Read and check everything, and change nothing.
-    tell
-        Counts files that are read, then states that are entered.
+    `tell` counts files that are read, then states that are entered.
     """
     inspected = inspect_images(found.listing, found.arrangement, found.settings, tell)
-    calibrated = (found.definition, found.calibrations, recorded_at)
+    calibrated = (found.definition, found.calibrations, how.recorded_at)
     inspected = of_calibrated_size(inspected, *calibrated)
     good = [one for one in inspected if not one.found.faults]
-    if good and not dry_run:
+    if good and not how.dry_run:
         make_campaign(services, found.existing, found.definition)
-    images = EnteredImages(
-        services, found.campaign, found.listing, found.settings, recorded_at, newer, dry_run, tell
-    )
+    images = EnteredImages(services, found.campaign, found.listing, found.settings, how, tell)
     outcome = images.all_of(inspected)
     remarks = (*outcome.remarks, *without_calibration(inspected, *calibrated))
     return replace(outcome, remarks=remarks, left_out=found.arrangement.left_out)

@@ -9,6 +9,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.importing.boards import Arranged, Task, arrange_boards, enter
+from sms_jobs.app.importing.image_entry import How
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
     AddStates,
@@ -85,7 +86,7 @@ def boards(
     Example: sms import boards dots -c stereo-june --rig stereo --board board.toml --pattern
     'dot_{state}_{camera}.jpeg' --cameras '0=C1 1=C2'
     """
-    at = time_given(recorded_at)
+    how = How(time_given(recorded_at), newer, dry_run)
     task = Task(
         folder,
         campaign,
@@ -108,7 +109,7 @@ def boards(
         if pattern is None and not (yes or dry_run):
             confirm("Is this right?")
         with bars.followed(bars.progress_bar()) as tell:
-            outcome = enter(services, found, recorded_at=at, newer=newer, dry_run=dry_run, tell=tell)
+            outcome = enter(services, found, how, tell)
     tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")
 
 

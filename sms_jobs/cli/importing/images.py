@@ -8,6 +8,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from sms_jobs import bootstrap
+from sms_jobs.app.importing.image_entry import How
 from sms_jobs.app.importing.images import Arranged, Camera, Task, arrange_images, enter
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
@@ -79,7 +80,7 @@ def images(
 
     Example: sms import images panel -c panel --cameras 'left=C1 right=C2' --rig stereo
     """
-    at = time_given(recorded_at)
+    how = How(time_given(recorded_at), newer, dry_run)
     task = Task(
         folder,
         campaign,
@@ -101,7 +102,7 @@ def images(
         if pattern is None and not (yes or dry_run):
             confirm("Is this right?")
         with bars.followed(bars.progress_bar()) as tell:
-            outcome = enter(services, found, recorded_at=at, newer=newer, dry_run=dry_run, tell=tell)
+            outcome = enter(services, found, how, tell)
     if as_json:
         outcome = replace(outcome, remarks=(*found.remarks, *outcome.remarks))
     tell_outcome(outcome, as_json=as_json, dry_run=dry_run, campaign=campaign, then="pipeline")

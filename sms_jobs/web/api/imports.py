@@ -19,6 +19,7 @@ from pydantic import Field
 
 from sms_jobs.app.calibrating import calibrations
 from sms_jobs.app.importing import boards, frames, images, points, readings, surface, uploads
+from sms_jobs.app.importing.image_entry import How
 from sms_jobs.app.importing.outcomes import Outcome
 from sms_jobs.app.importing.points import ImportedPoints
 from sms_jobs.app.importing.surface import ImportedSurface
@@ -178,7 +179,7 @@ async def import_images(request: Request, services: Acting, body: Images) -> Any
             made_by = images.Camera(body.raw, body.full_scale, body.gain, body.read_noise)
             own = body.model_dump(include=_SHARED | {"views", "alone", "reference", "rig", "specimen"})
             found = images.arrange_images(services, images.Task(folder, made_by=made_by, **own))
-            done = images.enter(services, found, **_how(body), tell=tell)
+            done = images.enter(services, found, _how(body), tell)
             return _outcome(found.pattern, replace(done, remarks=(*found.remarks, *done.remarks)))
 
     return await followed(request, work)
@@ -195,7 +196,7 @@ async def import_boards(request: Request, services: Acting, body: Boards) -> Any
                 folder, body.campaign, volume=_box(body.volume), board=lay(body.board, "board.toml"), **own
             )
             found = boards.arrange_boards(services, task)
-            return _outcome(found.pattern, boards.enter(services, found, **_how(body), tell=tell))
+            return _outcome(found.pattern, boards.enter(services, found, _how(body), tell))
 
     return await followed(request, work)
 
@@ -294,8 +295,8 @@ _OF_CHESSBOARD = {"rig", "chessboard", "pitch_mm", "pitch_relative_sigma", "flat
 Lay = Callable[[str | None, str], Path | None]
 
 
-def _how(body: FromFolder) -> dict[str, Any]:
-    return {"recorded_at": body.recorded_at, "newer": body.newer, "dry_run": body.dry_run}
+def _how(body: FromFolder) -> How:
+    return How(body.recorded_at, body.newer, body.dry_run)
 
 
 def _outcome(pattern: str, done: Outcome) -> dict[str, Any]:
