@@ -176,7 +176,7 @@ def test_a_stage_goes_where_it_is_told(bench_of: Any, stage: Stage) -> None:
     assert device.angles() == pytest.approx((0.3, -0.2), abs=tolerance)
     # Where it says it is, it is: apart from its encoder, and what is left of a drift within the tolerance.
     assert bench.simulation.angles("stage") == pytest.approx((0.3, -0.2), abs=2 * tolerance)
-    device.unstage()
+    device.home()
     assert device.angles() == pytest.approx((0.0, 0.0), abs=tolerance)
     description = device.describe()
     assert description.name == "stage"

@@ -57,18 +57,6 @@ class Device(Protocol):
         """Return its present values."""
         ...
 
-    def stage(self) -> None:
-        """Make ready for a recipe."""
-        ...
-
-    def unstage(self) -> None:
-        """Leave it as it should stand between recipes."""
-        ...
-
-    def stop(self) -> None:
-        """Stop whatever it does, at once; may be called from another thread."""
-        ...
-
 
 class Status:
     """Something that was begun and takes time: how far it is, and whether it succeeded.

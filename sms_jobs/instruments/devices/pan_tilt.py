@@ -39,6 +39,11 @@ class PanTilt:
         The driver.
     log
         Of operations.
+
+    Attributes
+    ----------
+    ranges
+        Where the axes may go, by name: within their own limits, and those of bar and tripod.
     """
 
     def __init__(self, stage: Stage, axes: Axes, clock: Clock, log: OperationLog | None = None) -> None:
@@ -51,7 +56,7 @@ class PanTilt:
         low, high = stage.tilt.minimum_rad, stage.tilt.maximum_rad
         if stage.clearance is not None:
             low, high = tilt_range(stage.clearance, low, high)
-        self._ranges: dict[AxisName, AngleRange] = {
+        self.ranges: dict[AxisName, AngleRange] = {
             "pan": AngleRange(stage.pan.minimum_rad, stage.pan.maximum_rad),
             "tilt": AngleRange(low, high),
         }
@@ -60,16 +65,6 @@ class PanTilt:
     def name(self) -> str:
         """Its name in the rig."""
         return self._stage.name
-
-    @property
-    def pan_range(self) -> AngleRange:
-        """Where the pan axis may go."""
-        return self._ranges["pan"]
-
-    @property
-    def tilt_range(self) -> AngleRange:
-        """Where the tilt axis may go: its own limits, and those of bar and tripod."""
-        return self._ranges["tilt"]
 
     def connect(self) -> None:
         """Greet the modules, clear old errors, set limits and velocities."""
@@ -83,7 +78,7 @@ class PanTilt:
     def describe(self) -> Description:
         """Return what it is and where it may go."""
         ranges = tuple(
-            f"{axis}: {r.minimum_rad:.4f} .. {r.maximum_rad:.4f} rad" for axis, r in self._ranges.items()
+            f"{axis}: {r.minimum_rad:.4f} .. {r.maximum_rad:.4f} rad" for axis, r in self.ranges.items()
         )
         units = (("pan_rad", "rad"), ("tilt_rad", "rad"))
         return Description(self.name, f"pan-tilt stage ({self._stage.protocol})", self._facts + ranges, units)
@@ -110,10 +105,6 @@ class PanTilt:
         self._ready()
         if self.known_angles() is None:
             self.reference()
-
-    def unstage(self) -> None:
-        """Go home backwards."""
-        self.home()
 
     def stop(self) -> None:
         """Stand still at once; a move that is under way ends with `DeviceFault`. May come from any thread."""
@@ -148,7 +139,7 @@ class PanTilt:
         detail = ", ".join(f"{axis} {target:.5f} rad" for axis, target in targets.items())
         end = self._log.begin(self.name, "move", detail)
         longest = self._stage.settling.attempts * (
-            3.0 * sum(self._move_s(axis, self._ranges[axis].width_rad) for axis in AXES)
+            3.0 * sum(self._move_s(axis, self.ranges[axis].width_rad) for axis in AXES)
             + self._stage.settling.timeout_s
         )
         return Status(f"'{self.name}' to move ({detail})", self._go(targets), self._clock, longest, end)
@@ -187,7 +178,7 @@ class PanTilt:
     def _targets(self, pose: StagePose) -> dict[AxisName, float]:
         targets = {}
         for axis, requested in zip(AXES, (pose.pan_rad, pose.tilt_rad), strict=True):
-            valid = self._ranges[axis]
+            valid = self.ranges[axis]
             slack = 1e-9
             turns = range(
                 ceil((valid.minimum_rad - slack - requested) / _TURN),
@@ -235,7 +226,7 @@ class PanTilt:
         play = self._stage.backlash_rad
         if play > 0.0:
             below = {
-                axis: max(target - play, self._ranges[axis].minimum_rad)
+                axis: max(target - play, self.ranges[axis].minimum_rad)
                 for axis, target in targets.items()
                 if target < self._axes.state(axis).position_rad
             }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from sms_jobs.errors import DeviceFault, LinkLost
 from sms_jobs.instruments.clock import Clock
@@ -17,8 +19,54 @@ from sms_jobs.records.operations import Reading
 _HEAD_BYTES = 4096
 _TAIL_BYTES = 16_384
 
+Channel = TypeVar("Channel", bound=SerialChannel | FileChannel)
 
-class SerialScalar:
+
+class Scalar(ABC, Generic[Channel]):
+    """A device that tells one number; channel by channel it is read in its own way."""
+
+    def __init__(self, channel: Channel, clock: Clock, log: OperationLog | None = None) -> None:
+        self._channel = channel
+        self._clock = clock
+        self._log = log or OperationLog(clock)
+
+    @property
+    def name(self) -> str:
+        """Its name in the rig."""
+        return self._channel.name
+
+    @property
+    def unit(self) -> str:
+        """Unit of its readings."""
+        return self._channel.unit
+
+    def connect(self) -> None:
+        """Read it once, which shows whether it answers, or whether its file is there and is being written."""
+        with self._log.operation(self.name, "connect"):
+            self.reading()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of it."""
+
+    def describe(self) -> Description:
+        """Return what it reads, and in what it measures."""
+        return Description(self.name, *self._said(), ((self.name, self.unit),))
+
+    @abstractmethod
+    def _said(self) -> tuple[str, tuple[str, ...]]:
+        """Return of what kind it is, and facts about it."""
+
+    def read(self) -> tuple[Reading, ...]:
+        """Return the present value."""
+        return (self.reading(),)
+
+    @abstractmethod
+    def reading(self) -> Reading:
+        """Return the present value and when it was so."""
+
+
+class SerialScalar(Scalar[SerialChannel]):
     """An instrument that tells one number on a serial line."""
 
     def __init__(
@@ -28,88 +76,31 @@ class SerialScalar:
         clock: Clock,
         log: OperationLog | None = None,
     ) -> None:
-        self._channel = channel
+        super().__init__(channel, clock, log)
         self._instrument = instrument
-        self._clock = clock
-        self._log = log or OperationLog(clock)
-
-    @property
-    def name(self) -> str:
-        """Its name in the rig."""
-        return self._channel.name
-
-    @property
-    def unit(self) -> str:
-        """Unit of its readings."""
-        return self._channel.unit
-
-    def connect(self) -> None:
-        """Read it once, which shows whether it answers."""
-        with self._log.operation(self.name, "connect"):
-            self._instrument.value()
 
     def close(self) -> None:
         """Let go of it."""
         self._instrument.close()
 
-    def describe(self) -> Description:
-        """Return what it measures in."""
-        fact = f"{self._channel.scale:g} {self._channel.unit} a {self._channel.reported_unit or 'count'}"
-        return Description(self.name, "serial channel", (fact,), ((self.name, self.unit),))
-
-    def read(self) -> tuple[Reading, ...]:
-        """Return the present value."""
-        return (self.reading(),)
+    def _said(self) -> tuple[str, tuple[str, ...]]:
+        a_unit = self._channel.reported_unit or "count"
+        return "serial channel", (f"{self._channel.scale:g} {self._channel.unit} a {a_unit}",)
 
     def reading(self) -> Reading:
         """Return the present value and when it came."""
         value = self._instrument.value()
         return Reading(self.name, value, self.unit, self._clock.now())
 
-    def stage(self) -> None:
-        """Do nothing: it is always ready."""
 
-    def unstage(self) -> None:
-        """Do nothing: it only measures."""
-
-    def stop(self) -> None:
-        """Do nothing: it only measures."""
-
-
-class FileScalar:
+class FileScalar(Scalar[FileChannel]):
     """The last line of a file that other software appends to."""
-
-    def __init__(self, channel: FileChannel, clock: Clock, log: OperationLog | None = None) -> None:
-        self._channel = channel
-        self._clock = clock
-        self._log = log or OperationLog(clock)
-
-    @property
-    def name(self) -> str:
-        """Its name in the rig."""
-        return self._channel.name
-
-    @property
-    def unit(self) -> str:
-        """Unit of its readings."""
-        return self._channel.unit
-
-    def connect(self) -> None:
-        """Read it once, which shows whether the file is there and is being written."""
-        with self._log.operation(self.name, "connect"):
-            self.reading()
 
     def close(self) -> None:
         """Do nothing: the file is open only while it is read."""
 
-    def describe(self) -> Description:
-        """Return where it reads."""
-        fact = f"column {self._channel.column} of {self._channel.path}"
-        return Description(self.name, "file channel", (fact,), ((self.name, self.unit),))
-
-    def read(self) -> tuple[Reading, ...]:
-        """Return the last value."""
-        return (self.reading(),)
+    def _said(self) -> tuple[str, tuple[str, ...]]:
+        return "file channel", (f"column {self._channel.column} of {self._channel.path}",)
 
     def reading(self) -> Reading:
         """Return the last value and when the file was written.
@@ -142,15 +133,6 @@ class FileScalar:
                 f"'{self.name}' reads: see what its software writes there"
             )
         return Reading(self.name, value, self.unit, written)
-
-    def stage(self) -> None:
-        """Do nothing: it is always ready."""
-
-    def unstage(self) -> None:
-        """Do nothing: it only reads."""
-
-    def stop(self) -> None:
-        """Do nothing: it only reads."""
 
 
 class ChannelValue:

@@ -56,17 +56,6 @@ class TriggerBox:
         """Return nothing: it measures nothing."""
         return ()
 
-    def stage(self) -> None:
-        """Forget what was selected."""
-        self._selected = ()
-
-    def unstage(self) -> None:
-        """Forget what was selected."""
-        self._selected = ()
-
-    def stop(self) -> None:
-        """Do nothing: a trigger is over when it was sent."""
-
     def set(self, value: Iterable[str]) -> Status:
         """Select the outputs that lead to sensors.
 
@@ -162,15 +151,6 @@ class VideoSwitch:
     def read(self) -> tuple[Reading, ...]:
         """Return nothing: it measures nothing."""
         return ()
-
-    def stage(self) -> None:
-        """Do nothing: it is always ready."""
-
-    def unstage(self) -> None:
-        """Do nothing: the picture may stay where it is."""
-
-    def stop(self) -> None:
-        """Do nothing: it does nothing that could be stopped."""
 
     def set(self, value: str) -> Status:
         """Feed a projector; done when it had time to show the picture.

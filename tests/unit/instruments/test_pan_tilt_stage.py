@@ -90,7 +90,7 @@ def test_home_is_reached_the_way_the_stage_came() -> None:
     for pan in (1.0, 2.0, 3.0):
         device.move(pan, 0.5)
     watched.moves.clear()
-    device.unstage()
+    device.home()
     # One move back over all of 3 rad, and not on by the remaining 3.28 rad of the turn.
     assert watched.moves == [{"pan": 0.0, "tilt": 0.0}]
     assert device.angles() == pytest.approx((0.0, 0.0), abs=radians(0.02))
@@ -129,14 +129,14 @@ def test_play_of_the_gears_is_always_on_one_side() -> None:
 def test_a_tilt_at_which_the_bar_meets_the_tripod_is_refused() -> None:
     clearance = TripodClearance(400.0, 19.0, 60.0, 0.0, 120.0, 50.0, radians(25.0))
     device, _, _, _ = bench(replace(STAGE, clearance=clearance))
-    limit = device.tilt_range.maximum_rad
+    limit = device.ranges["tilt"].maximum_rad
     assert limit < TILT.maximum_rad
     device.move(0.0, 0.99 * limit)
     with pytest.raises(
         LimitExceeded, match=r"tilt axis of 'stage' .* where the bar would meet the tripod: it may go"
     ):
         device.move(0.0, 1.01 * limit)
-    poses = uniform_poses(9, device.pan_range, device.tilt_range)
+    poses = uniform_poses(9, device.ranges["pan"], device.ranges["tilt"])
     assert max(p.tilt_rad for p in poses) <= limit
     assert any("tilt: " in fact for fact in device.describe().facts)
 
