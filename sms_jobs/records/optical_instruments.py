@@ -35,13 +35,13 @@ class OpticalFault:
 
 
 @dataclass(frozen=True)
-class CameraInstrument:
-    """A camera and how it is reached; each driver has a record of its own for what it must know.
+class OpticalInstrument:
+    """A camera or projector and how it is reached; each driver has a record of its own for what it must know.
 
     Attributes
     ----------
     name
-        C1, C2, ...
+        C1, C2, ... or P1, P2, ...
     columns, rows
         Of its image, in pixels.
     driver
@@ -55,6 +55,11 @@ class CameraInstrument:
 
     def __post_init__(self) -> None:
         _check_size(self.name, self.columns, self.rows)
+
+
+@dataclass(frozen=True)
+class CameraInstrument(OpticalInstrument):
+    """A camera and how it is reached."""
 
     @property
     def wired(self) -> bool:
@@ -68,26 +73,8 @@ class CameraInstrument:
 
 
 @dataclass(frozen=True)
-class ProjectorInstrument:
-    """A projector and how it is reached; each driver has a record of its own for what it must know.
-
-    Attributes
-    ----------
-    name
-        P1, P2, ...
-    columns, rows
-        Of its image, in pixels.
-    driver
-        Of which make it is.
-    """
-
-    name: str
-    columns: int
-    rows: int
-    driver: str
-
-    def __post_init__(self) -> None:
-        _check_size(self.name, self.columns, self.rows)
+class ProjectorInstrument(OpticalInstrument):
+    """A projector and how it is reached."""
 
     @property
     def settle_s(self) -> float:

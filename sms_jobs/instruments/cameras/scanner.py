@@ -11,7 +11,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
 from sms_jobs.instruments.protocols import CameraFacts, Fired, Frame
 from sms_jobs.instruments.scanners.client import link_to
-from sms_jobs.instruments.scanners.link import Address, ScannerLink
+from sms_jobs.instruments.scanners.lent import LentInstrument
+from sms_jobs.instruments.scanners.link import ScannerLink
 from sms_jobs.records.optical_instruments import CameraInstrument
 
 _TRANSFER_S = 10.0
@@ -19,27 +20,17 @@ _TRANSFER_S = 10.0
 
 
 @dataclass(frozen=True)
-class ScannerCameraSettings(CameraInstrument):
+class ScannerCameraSettings(CameraInstrument, LentInstrument):
     """A camera that `sms rig serve` lends.
 
     Attributes
     ----------
-    server
-        Its address, host:port.
-    key_file
-        A copy of the server's key.
     exposure_ms
         Of an exposure of 1, for a dry run alone; what holds is said in the scanner's own rig file.
     """
 
     driver: Literal["scanner"]
-    server: str
-    key_file: str
     exposure_ms: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        Address.parse(self.server)
 
 
 @dataclass
@@ -79,8 +70,7 @@ class ScannerCamera:
 
     def describe(self) -> str:
         """Return what it is."""
-        description = self.link.facts["described"].get(self.name, "nothing is known of it")
-        return f"scanner at {self.settings.server}: {description}"
+        return self.settings.described(self.link)
 
     def arm(self, exposure: float) -> None:
         """Make ready to be triggered."""

@@ -12,34 +12,25 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver
 from sms_jobs.instruments.scanners.client import link_to, links
-from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, Address, ScannerLink
+from sms_jobs.instruments.scanners.lent import LentInstrument
+from sms_jobs.instruments.scanners.link import DEFORMATION, SEQUENCE, ScannerLink
 from sms_jobs.instruments.simulated.optics import WHITE, VirtualRoom
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import ProjectorInstrument
 
 
 @dataclass(frozen=True)
-class ScannerProjectorSettings(ProjectorInstrument):
+class ScannerProjectorSettings(ProjectorInstrument, LentInstrument):
     """A projector that `sms rig serve` lends.
 
     Attributes
     ----------
-    server
-        Its address, host:port.
-    key_file
-        A copy of the server's key.
     settle_ms
         Of a picture, for a dry run alone; what holds is said in the scanner's own rig file.
     """
 
     driver: Literal["scanner"]
-    server: str
-    key_file: str
     settle_ms: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        Address.parse(self.server)
 
 
 @dataclass
@@ -55,8 +46,7 @@ class ScannerProjector:
 
     def describe(self) -> str:
         """Return what it is."""
-        description = self.link.facts["described"].get(self.name, "nothing is known of it")
-        return f"scanner at {self.settings.server}: {description}"
+        return self.settings.described(self.link)
 
     def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
         """Make ready for the patterns of a sequence; raise `InvalidInput` where its light is to be dimmed."""
