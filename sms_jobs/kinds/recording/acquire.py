@@ -28,6 +28,7 @@ from sms_jobs.kinds.kind import (
     Inputs,
     Kind,
     Output,
+    P,
     Progress,
     Queue,
     Scope,
@@ -340,22 +341,31 @@ def whole_rig(campaign: Campaign, subject: Subject) -> tuple[str, ...]:
     return (rig_queue(campaign.rig),)
 
 
-KIND = Kind(
-    name="acquire",
-    summary="record every view of a state with the instruments of the rig",
-    version=4,
-    scope=Scope.STATE,
-    parameters=AcquireParameters,
-    inputs=(),
-    outputs=(MEASURED, RECORDED, INTERRUPTED.by("number")),
-    needs=no_needs,
-    run=run,
-    subjects=all_states,
-    context=order,
-    repeatable=never,
-    queue=Queue.ACQUISITION,
-    makes=MEASUREMENT,
-    in_pipeline=False,
-    devices=whole_rig,
-    with_instruments=True,
+def with_a_rig(kind: Kind[P]) -> Kind[P]:
+    """Return a kind that records with a rig: it has it for itself, and is never run again by itself."""
+    return replace(
+        kind,
+        repeatable=never,
+        queue=Queue.ACQUISITION,
+        makes=MEASUREMENT,
+        in_pipeline=False,
+        devices=whole_rig,
+        with_instruments=True,
+    )
+
+
+KIND = with_a_rig(
+    Kind(
+        name="acquire",
+        summary="record every view of a state with the instruments of the rig",
+        version=4,
+        scope=Scope.STATE,
+        parameters=AcquireParameters,
+        inputs=(),
+        outputs=(MEASURED, RECORDED, INTERRUPTED.by("number")),
+        needs=no_needs,
+        run=run,
+        subjects=all_states,
+        context=order,
+    )
 )

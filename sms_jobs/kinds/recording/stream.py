@@ -24,20 +24,17 @@ from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.instruments.spool import Spooled, SpooledFrames
 from sms_jobs.instruments.streaming import StreamOrder, stream
 from sms_jobs.kinds.kind import (
-    MEASUREMENT,
     DatasetOutput,
     Inputs,
     Kind,
     Need,
     Output,
     Progress,
-    Queue,
     Scope,
-    never,
 )
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BETWEEN, MEASURED, RECORDED
-from sms_jobs.kinds.recording.acquire import setting_at, station_of, statistics_of, whole_rig
+from sms_jobs.kinds.recording.acquire import setting_at, station_of, statistics_of, with_a_rig
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.events import Event
 from sms_jobs.records.measurement import FringeSequence, Measurement
@@ -284,23 +281,19 @@ def _frames(kept: KeptStream, camera: str, places: range) -> FramesBetween | Non
     )
 
 
-KIND = Kind(
-    name="stream",
-    summary="record cameras without a projector at a rate; their frames become states",
-    version=2,
-    scope=Scope.CAMPAIGN,
-    parameters=StreamParameters,
-    inputs=(),
-    outputs=(MEASURED, RECORDED, BETWEEN.by("before or after")),
-    needs=needs,
-    run=run,
-    subjects=campaigns_of_cameras,
-    context=task,
-    repeatable=never,
-    queue=Queue.ACQUISITION,
-    makes=MEASUREMENT,
-    in_pipeline=False,
-    devices=whole_rig,
-    with_instruments=True,
-    adds_states=True,
+KIND = with_a_rig(
+    Kind(
+        name="stream",
+        summary="record cameras without a projector at a rate; their frames become states",
+        version=2,
+        scope=Scope.CAMPAIGN,
+        parameters=StreamParameters,
+        inputs=(),
+        outputs=(MEASURED, RECORDED, BETWEEN.by("before or after")),
+        needs=needs,
+        run=run,
+        subjects=campaigns_of_cameras,
+        context=task,
+        adds_states=True,
+    )
 )
