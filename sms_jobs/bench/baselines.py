@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 _MARGIN_PX = 8  # round a subset, of what is given to OpenCV of the other image
 

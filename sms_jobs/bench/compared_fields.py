@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.virtual_rig.truth import Truth
-
-Floats: TypeAlias = NDArray[np.float64]
-Flags: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class Compared:
         """Measured minus exact."""
         return self.measured - self.exact
 
-    def mean(self, where: Flags) -> Mean:
+    def mean(self, where: Mask) -> Mean:
         """Return the mean over those of some pixels that are measured."""
         known = where & np.isfinite(self.measured) & np.isfinite(self.exact)
         if not known.any():

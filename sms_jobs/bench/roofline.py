@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import inlined, summing_kernel
-
-Floats = NDArray[np.float64]
 
 _STEPS = 16
 _CHAINS = 8  # that do not wait for each other: two instructions at a time, each of which takes four cycles

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.formats.figures import COLOUR_MAP, DOTS_PER_INCH, as_png, in_pixels, new_figure, robust_limits
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 _ARROW_PART = 0.05
 """Length of a typical arrow as a part of the image's width."""

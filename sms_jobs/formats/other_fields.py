@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import NotFound
 from sms_jobs.formats.figures import as_png, new_figure
 from sms_jobs.formats.foreign_meshes import read_node_fields
-
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 
 @dataclass(frozen=True)

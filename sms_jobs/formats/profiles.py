@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.figures import as_png, new_figure
 from sms_jobs.formats.gauge_descriptions import GaugeReading
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.strain.gauges import Profile
 from sms_jobs.records.quantity import quantities_of
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

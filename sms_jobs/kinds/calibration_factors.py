@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, UNCERTAINTY
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.calibration.point_factor import (
     KnownView,
     economical,
@@ -38,8 +39,6 @@ from sms_jobs.records.scene import Vector
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 States: TypeAlias = tuple[KnownView, KnownView]
 """A view at the reference state and at a deformed one."""
 
@@ -90,14 +89,14 @@ def known_view(factor: CalibrationFactor) -> KnownView:
     return KnownView(cameras, factor.calibration, root, factor.orientations_rad)
 
 
-def position_sigma(factor: CalibrationFactor, surface: Surface) -> Single:
+def position_sigma(factor: CalibrationFactor, surface: Surface) -> Singles:
     """Return the calibration's part of the standard deviation of positions, (3, rows, columns) in mm."""
     samples = sample_blocks(surface.reason == Reason.VALID)
     view = economical(known_view(factor))
     return spread(samples, sigma_of(point_factor(view, _at(samples, surface.position))).T)
 
 
-def displacement_sigma(states: States, surface: Surface, moved: DisplacementField) -> Single:
+def displacement_sigma(states: States, surface: Surface, moved: DisplacementField) -> Singles:
     """Return the calibration's part of the standard deviation of displacements, (3, rows, columns) in mm."""
     samples = sample_blocks(moved.reason == Reason.VALID)
     factor = motion_factor(
@@ -119,7 +118,7 @@ def strain_sigma(
     x_axis: Vector,
     *,
     green_lagrange: bool,
-) -> Single:
+) -> Singles:
     """Return the calibration's part of the standard deviation of strains xx, yy, xy, (3, rows, columns).
 
     `reach_px` is half the gauge length in the image.
@@ -191,7 +190,7 @@ class RelativeSigma:
     """The calibration's part of the standard deviations of a motion (6,), and of what is left without it."""
 
     motion: Floats
-    field: Single
+    field: Singles
 
 
 def relative_sigma(
@@ -199,7 +198,7 @@ def relative_sigma(
     surface: Surface,
     moved: DisplacementField,
     motion: RigidMotion,
-    pixels: tuple[NDArray[np.int64], NDArray[np.int64]],
+    pixels: tuple[Ints, Ints],
 ) -> RelativeSigma:
     """Return what the calibration adds to a region's motion, and to a displacement without it.
 
@@ -220,8 +219,8 @@ def relative_sigma(
 def merged_sigma(
     views: Sequence[tuple[States, Surface, DisplacementField]],
     weights: Sequence[Floats],
-    valid: NDArray[np.bool_],
-) -> Single:
+    valid: Mask,
+) -> Singles:
     """Return the calibration's part of the standard deviation of a displacement that views are merged to.
 
     Parameters
@@ -285,7 +284,7 @@ def states_from(reference: CalibrationFactor, deformed: CalibrationFactor) -> St
     return known_view(reference), known_view(deformed)
 
 
-def median_part(sigma: Single | None, unit: str) -> dict[str, float]:
+def median_part(sigma: Singles | None, unit: str) -> dict[str, float]:
     """Return the median length of the calibration's part (3, rows, columns), for people to search by."""
     if sigma is None:
         return {}

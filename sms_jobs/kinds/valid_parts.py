@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Mask
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.statistic_names import VALID_FRACTION, VALID_FRACTION_OF_IMAGE, lost_to
-
-Mask: TypeAlias = NDArray[np.bool_]
 
 _LIT = 0.01  # of the image
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.quantity import XYZ, array
 
-Double = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 
@@ -38,12 +35,12 @@ class ViewAlignment:
     rms_mm: float
     points: int
     used_fraction: float
-    covariance: Double = array(
+    covariance: Floats = array(
         "mixed",
         "covariance of a small turn about the origin of the frame here (rad) and a shift (mm)",
         ("motion", "other motion"),
     )
-    place: Double = array("mm", "position of the common points, here", ("point", "component"), XYZ)
-    residual: Double = array(
+    place: Floats = array("mm", "position of the common points, here", ("point", "component"), XYZ)
+    residual: Floats = array(
         "mm", "position there, brought here, minus position here", ("point", "component"), XYZ
     )

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sms_jobs.metrology.arrays import Singles
 from sms_jobs.records.fields import VECTOR_IMAGE
 from sms_jobs.records.quantity import STRAIN_COMPONENTS, array
-
-Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -59,8 +55,8 @@ class Assessment:
     shape: Errors
     displacement: Errors | None
     strain: Errors | None
-    shape_error: Single = array("mm", "length of the error of the position")
-    displacement_error: Single | None = array("mm", "length of the error of the displacement", default=None)
-    strain_error: Single | None = array(
+    shape_error: Singles = array("mm", "length of the error of the position")
+    displacement_error: Singles | None = array("mm", "length of the error of the displacement", default=None)
+    strain_error: Singles | None = array(
         "1", "error of the strain", VECTOR_IMAGE, STRAIN_COMPONENTS, default=None
     )

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.quantity import XYZ, array
-
-Double = NDArray[np.float64]
 
 POINTS = ("point",)
 ORIENTED = ("orientation",)
@@ -30,16 +26,16 @@ class ResponseDiagnosis:
     densities: tuple[int | float, ...]
     steps: int
     visibility: float
-    x: Double = array("px", "column", POINTS)
-    y: Double = array("px", "row", POINTS)
-    ripple: Double = array(
+    x: Floats = array("px", "column", POINTS)
+    y: Floats = array("px", "row", POINTS)
+    ripple: Floats = array(
         "mm", "predicted displacement of a point by the projector's response", ("component", "point"), XYZ
     )
-    ripple_omega: Double = array("rad", "predicted error of the phase gradient", ("orientation", "point"))
-    gamma: Double = array("1", "exponent of the projector's response", ORIENTED)
-    gamma_sigma: Double = array("1", "standard deviation of the exponent", ORIENTED)
-    harmonics: Double = array("1", "harmonics of the fringes, in units of the first", HARMONICS)
-    harmonics_sigma: Double = array("1", "standard deviation of the harmonics", HARMONICS)
-    damping: Double = array(
+    ripple_omega: Floats = array("rad", "predicted error of the phase gradient", ("orientation", "point"))
+    gamma: Floats = array("1", "exponent of the projector's response", ORIENTED)
+    gamma_sigma: Floats = array("1", "standard deviation of the exponent", ORIENTED)
+    harmonics: Floats = array("1", "harmonics of the fringes, in units of the first", HARMONICS)
+    harmonics_sigma: Floats = array("1", "standard deviation of the harmonics", HARMONICS)
+    damping: Floats = array(
         "1", "d by which blur lowers harmonic n of density t as exp(-d n^2 t^2)", ORIENTED
     )

@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Reasons, Singles
 from sms_jobs.records.quantity import IMAGE, STRAIN_COMPONENTS, SYMMETRIC, UNIT, XYZ, Axes, LengthUnit, array
 from sms_jobs.records.views import view_of
 
-Double = NDArray[np.float64]
-Single = NDArray[np.float32]
-Reasons = NDArray[np.uint32]
 Axis = tuple[float, float, float]
 
 VECTOR_IMAGE = ("component", *IMAGE)
@@ -43,12 +41,14 @@ class PhaseMaps:
     """
 
     orientations_rad: tuple[float, ...]
-    omega: Double = array("rad", "phase gradient per fringe, -pi .. pi across the projector", ORIENTED_IMAGE)
-    omega_sigma: Single = array("rad", "standard deviation of the phase gradient", ORIENTED_IMAGE)
-    modulation: Single = array("count", "fringe modulation", ORIENTED_IMAGE)
-    phase_error: Single = array("rad", "rms residual of the phase against the fringe density", ORIENTED_IMAGE)
-    mean_intensity: Single = array("count", "texture averaged over all fringe frames")
-    exposure: Single | None = array(
+    omega: Floats = array("rad", "phase gradient per fringe, -pi .. pi across the projector", ORIENTED_IMAGE)
+    omega_sigma: Singles = array("rad", "standard deviation of the phase gradient", ORIENTED_IMAGE)
+    modulation: Singles = array("count", "fringe modulation", ORIENTED_IMAGE)
+    phase_error: Singles = array(
+        "rad", "rms residual of the phase against the fringe density", ORIENTED_IMAGE
+    )
+    mean_intensity: Singles = array("count", "texture averaged over all fringe frames")
+    exposure: Singles | None = array(
         "1", "exposure that was chosen, in units of the camera's own", default=None
     )
 
@@ -74,10 +74,10 @@ class ReturnMaps:
 
     orientations_rad: tuple[float, ...]
     label: NDArray[np.uint16] = array("1", "chosen combination of returns, 0 for none")
-    margin: Single = array("1", "log-likelihood of the chosen combination above that of any other place")
-    omega: Single = array("rad", "phase gradient per fringe, -pi .. pi across the projector", RETURNS_IMAGE)
-    omega_sigma: Single = array("rad", "standard deviation of the phase gradient", RETURNS_IMAGE)
-    amplitude: Single = array("count", "fringe modulation of the return", RETURNS_IMAGE)
+    margin: Singles = array("1", "log-likelihood of the chosen combination above that of any other place")
+    omega: Singles = array("rad", "phase gradient per fringe, -pi .. pi across the projector", RETURNS_IMAGE)
+    omega_sigma: Singles = array("rad", "standard deviation of the phase gradient", RETURNS_IMAGE)
+    amplitude: Singles = array("count", "fringe modulation of the return", RETURNS_IMAGE)
 
     @classmethod
     def unset(cls, orientations_rad: tuple[float, ...], returns: int, rows: int, columns: int) -> ReturnMaps:
@@ -113,22 +113,22 @@ class Surface:
 
     view: str
     unit: LengthUnit
-    position: Double = array(UNIT, "position", VECTOR_IMAGE, XYZ)
+    position: Floats = array(UNIT, "position", VECTOR_IMAGE, XYZ)
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
-    covariance: Single | None = array(
+    covariance: Singles | None = array(
         f"{UNIT}^2",
         "covariance of the position, from the images' noise",
         VECTOR_IMAGE,
         SYMMETRIC,
         default=None,
     )
-    ray_gap: Single | None = array(
+    ray_gap: Singles | None = array(
         "mm", "distance between the camera's and its partner's ray at closest approach", default=None
     )
     mm_per_px: float | None = None
     subset_radius_px: int = 0
-    sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
-    texture_part: Single | None = array(
+    sigma_calibration: Singles | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
+    texture_part: Singles | None = array(
         "1", "part of the covariance that cancels where neighbouring pixels are averaged", default=None
     )
     axes: Axes = "XYZ"
@@ -176,20 +176,20 @@ class Regions:
 class ImageMatches:
     """Sample points of the reference texture and where they are found in the deformed one."""
 
-    x: Double = array("px", "column in the reference image", POINTS)
-    y: Double = array("px", "row in the reference image", POINTS)
+    x: Floats = array("px", "column in the reference image", POINTS)
+    y: Floats = array("px", "row in the reference image", POINTS)
     region: NDArray[np.int32] = array("1", "region label", POINTS)
-    u: Double = array("px", "displacement along the columns", POINTS)
-    v: Double = array("px", "displacement along the rows", POINTS)
-    gradient: Double = array(
+    u: Floats = array("px", "displacement along the columns", POINTS)
+    v: Floats = array("px", "displacement along the rows", POINTS)
+    gradient: Floats = array(
         "1",
         "gradient of the image displacement",
         ("component", "point"),
         ("du/dx", "du/dy", "dv/dx", "dv/dy"),
     )
-    sigma_u: Single = array("px", "standard deviation of u", POINTS)
-    sigma_v: Single = array("px", "standard deviation of v", POINTS)
-    score: Single = array("1", "zero-normalised cross-correlation, 1 for a perfect match", POINTS)
+    sigma_u: Singles = array("px", "standard deviation of u", POINTS)
+    sigma_v: Singles = array("px", "standard deviation of v", POINTS)
+    score: Singles = array("1", "zero-normalised cross-correlation, 1 for a perfect match", POINTS)
     iterations: NDArray[np.int32] = array("1", "Gauss-Newton iterations", POINTS)
     reason: Reasons = array("bit", "why a point has no value, 0 where it has one", POINTS)
     steps: NDArray[np.int32] | None = array(
@@ -222,23 +222,23 @@ class DisplacementField:
     view: str
     reference_state: str
     unit: LengthUnit
-    displacement: Double = array(UNIT, "displacement", VECTOR_IMAGE, XYZ)
-    covariance: Single = array(f"{UNIT}^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
-    image_displacement: Double = array("px", "displacement in the image", VECTOR_IMAGE, ("u", "v"))
+    displacement: Floats = array(UNIT, "displacement", VECTOR_IMAGE, XYZ)
+    covariance: Singles = array(f"{UNIT}^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
+    image_displacement: Floats = array("px", "displacement in the image", VECTOR_IMAGE, ("u", "v"))
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
     averaging_radius_px: float = 0.0
     subset_radius_px: int = 0
-    bias: Single | None = array(
+    bias: Singles | None = array(
         f"{UNIT}^2",
         "part of the covariance that is no noise: what the images have against the displacement",
         VECTOR_IMAGE,
         SYMMETRIC,
         default=None,
     )
-    sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
+    sigma_calibration: Singles | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
     axes: Axes = "XYZ"
     resolution_px: float | None = None
-    resolution: Single | None = array(UNIT, _RESOLUTION, default=None)
+    resolution: Singles | None = array(UNIT, _RESOLUTION, default=None)
 
 
 StrainMeasure = Literal["green-lagrange", "small"]
@@ -262,17 +262,17 @@ class StrainField:
     measure: StrainMeasure
     unit: LengthUnit
     gauge_length: float
-    strain: Double = array("1", "strain", VECTOR_IMAGE, STRAIN_COMPONENTS)
-    sigma: Single = array("1", "standard deviation of the strain", VECTOR_IMAGE, STRAIN_COMPONENTS)
-    principal: Double = array("1", "principal strains, larger first", VECTOR_IMAGE, ("first", "second"))
-    von_mises: Double = array("1", "equivalent strain after von Mises")
+    strain: Floats = array("1", "strain", VECTOR_IMAGE, STRAIN_COMPONENTS)
+    sigma: Singles = array("1", "standard deviation of the strain", VECTOR_IMAGE, STRAIN_COMPONENTS)
+    principal: Floats = array("1", "principal strains, larger first", VECTOR_IMAGE, ("first", "second"))
+    von_mises: Floats = array("1", "equivalent strain after von Mises")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
-    sigma_calibration: Single | None = array(
+    sigma_calibration: Singles | None = array(
         "1", _FROM_CALIBRATION, VECTOR_IMAGE, STRAIN_COMPONENTS, default=None
     )
     x_axis: Axis | None = None
     resolution_px: float | None = None
-    resolution: Single | None = array(UNIT, _RESOLUTION, default=None)
+    resolution: Singles | None = array(UNIT, _RESOLUTION, default=None)
 
 
 @dataclass(frozen=True)
@@ -286,19 +286,19 @@ class MergedField:
     views: tuple[str, ...]
     unit: LengthUnit
     discrepancy_rms: float
-    displacement: Double = array(UNIT, "displacement", VECTOR_IMAGE, XYZ)
-    position: Double = array(UNIT, "position at the reference state", VECTOR_IMAGE, XYZ)
-    covariance: Single = array(f"{UNIT}^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
+    displacement: Floats = array(UNIT, "displacement", VECTOR_IMAGE, XYZ)
+    position: Floats = array(UNIT, "position at the reference state", VECTOR_IMAGE, XYZ)
+    covariance: Singles = array(f"{UNIT}^2", "covariance of the displacement", VECTOR_IMAGE, SYMMETRIC)
     contributors: NDArray[np.uint8] = array("1", "number of views that gave a value")
     reason: Reasons = array("bit", "why a pixel has no value, 0 where it has one")
-    discrepancy: Single | None = array(
+    discrepancy: Singles | None = array(
         UNIT, "rms distance between the displacements of the views", default=None
     )
     mm_per_px: float | None = None
-    sigma_calibration: Single | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
+    sigma_calibration: Singles | None = array(UNIT, _FROM_CALIBRATION, VECTOR_IMAGE, XYZ, default=None)
     axes: Axes = "XYZ"
     resolution_px: float | None = None
-    resolution: Single | None = array(UNIT, _RESOLUTION, default=None)
+    resolution: Singles | None = array(UNIT, _RESOLUTION, default=None)
 
     @property
     def has_depth(self) -> bool:
@@ -317,11 +317,11 @@ class Mesh:
 
     value_names: tuple[str, ...]
     value_units: tuple[str, ...]
-    vertices: Double = array(UNIT, "position at the reference state", ("vertex", "component"), XYZ)
+    vertices: Floats = array(UNIT, "position at the reference state", ("vertex", "component"), XYZ)
     faces: NDArray[np.int32] = array(
         "1", "vertex indices, counter-clockwise seen from outside", ("face", "corner")
     )
-    values: Double = array("mixed", "values at the vertices, see value_names", ("value", "vertex"))
+    values: Floats = array("mixed", "values at the vertices, see value_names", ("value", "vertex"))
     unit: LengthUnit = "mm"
     cameras: tuple[str, ...] = ()
     camera: NDArray[np.uint8] | None = array(
@@ -344,7 +344,7 @@ class Mesh:
             raise InvalidInput(f"the mesh has no '{name}'; it has {', '.join(self.value_names) or 'none'}")
         return self.values[self.value_names.index(name)]
 
-    def with_value(self, name: str, unit: str, values: Double) -> Mesh:
+    def with_value(self, name: str, unit: str, values: Floats) -> Mesh:
         """Return it with one value more, (vertices,)."""
         return replace(
             self,

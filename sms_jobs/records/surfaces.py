@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.records.quantity import SYMMETRIC, XYZ, array
-
-Double = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class ReferenceSurface:
     file_sha256: str
     file_unit: str
     turned_over: bool
-    vertices: Double = array("mm", "position in the frame of the surface", ("vertex", "component"), XYZ)
+    vertices: Floats = array("mm", "position in the frame of the surface", ("vertex", "component"), XYZ)
     faces: NDArray[np.int32] = array(
         "1", "vertex indices, counter-clockwise seen from outside", ("face", "corner")
     )
@@ -70,7 +68,7 @@ class SurfaceRegistration:
     held: int
     iterations: int
     converged: bool
-    covariance: Double = array(
+    covariance: Floats = array(
         "mixed",
         "covariance of a small turn about the origin of the surface's frame (rad) and a shift (mm)",
         ("motion", "other motion"),
@@ -90,13 +88,13 @@ class DeviationField:
     lower_mm: float
     upper_mm: float
     coverage_factor: float
-    deviation: Double = array("mm", "deviation from the reference surface, positive outside the material")
-    sigma: Single = array("mm", "standard deviation of the deviation")
+    deviation: Floats = array("mm", "deviation from the reference surface, positive outside the material")
+    sigma: Singles = array("mm", "standard deviation of the deviation")
     verdict: NDArray[np.uint8] = array("1", "verdict: 1 within tolerance, 2 undecided, 3 outside")
-    position: Double = array(
+    position: Floats = array(
         "mm", "position in the frame of the reference surface", ("component", "row", "column"), XYZ
     )
-    covariance: Single = array(
+    covariance: Singles = array(
         "mm^2",
         "covariance of the position in the frame of the reference surface, from phase noise",
         ("component", "row", "column"),

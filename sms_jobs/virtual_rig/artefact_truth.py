@@ -6,12 +6,12 @@ Nothing here is rendered or measured: places and images are exact to rounding.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.scene import Deformation, Scene, Simulation
@@ -20,9 +20,6 @@ from sms_jobs.virtual_rig.artefacts import bar_centres, board_normal, board_poin
 from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 from sms_jobs.virtual_rig.light import sensor_named
 from sms_jobs.virtual_rig.truth import exact_shape
-
-Floats: TypeAlias = NDArray[np.float64]
-Flags: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ class TrueBoard:
     world: Floats
     camera_px: Floats
     projector_px: Floats
-    seen: Flags
+    seen: Mask
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class TrueBar:
     centre: Floats
     camera_px: Floats
     projector_px: Floats
-    seen_px: NDArray[np.int64]
+    seen_px: Ints
 
 
 def placed_points(scene: Scene, deformation: tuple[Deformation, ...], points: Floats) -> Floats:
@@ -129,6 +126,6 @@ def _sensors_of(simulation: Simulation) -> list[Sensor]:
     return [sensor_named(simulation, name) for name in names if name is not None]
 
 
-def _in_image(sensor: Sensor, pixels: Floats) -> Flags:
+def _in_image(sensor: Sensor, pixels: Floats) -> Mask:
     inside = (pixels >= -0.5) & (pixels <= np.array([sensor.columns, sensor.rows]) - 0.5)
     return np.asarray(inside.all(axis=1))

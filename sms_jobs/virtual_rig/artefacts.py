@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.scene import Bow, Deformation, Vector
 
-Floats: TypeAlias = NDArray[np.float64]
 Board: TypeAlias = CircleBoard | Chessboard
 
 BORDER_PITCHES = 2.0

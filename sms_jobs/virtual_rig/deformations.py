@@ -13,12 +13,11 @@ fade, stringer, width, relief and bulge 1 - 9.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.stage.pan_tilt import stage_rotation
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.metrology.geometry.camera import Pose
@@ -33,8 +32,6 @@ from sms_jobs.records.scene import (
     StringerCrack,
     UniaxialStrain,
 )
-
-Floats: TypeAlias = NDArray[np.float64]
 
 AFFINE, BENDING, HALVES, DISBOND, BOW, CRACK = 0, 1, 2, 3, 4, 5
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.truth import exact_truth
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.scene import Gloss, Simulation
 from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named, source_centre, source_of, trace
 from sms_jobs.virtual_rig.truth import exact_shape
-
-Floats = NDArray[np.float64]
 
 
 def shining(simulation: Simulation, threads: int = 1) -> Light:

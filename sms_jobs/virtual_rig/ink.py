@@ -8,17 +8,14 @@ dot is where it belongs however few pixels it has.
 from __future__ import annotations
 
 from math import floor, hypot, sqrt
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
 from sms_jobs.records.scene import Surface
 from sms_jobs.virtual_rig.artefacts import axes_of
-
-Floats: TypeAlias = NDArray[np.float64]
 
 DARK, BRIGHT = 0.1, 0.85
 """Diffuse reflectance of dark and of bright parts of an artefact."""

@@ -8,12 +8,12 @@ projector, and light by way of a mirror. Where nothing projects there is one ret
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Ints, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
 from sms_jobs.records.scene import PlateAndMirror, Simulation
 from sms_jobs.records.sensors import Sensor
@@ -33,9 +33,6 @@ from sms_jobs.virtual_rig.rays import (
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance
 from sms_jobs.virtual_rig.surfaces import patch_coordinates
 from sms_jobs.virtual_rig.windows import image_windows
-
-Floats: TypeAlias = NDArray[np.float64]
-Singles: TypeAlias = NDArray[np.float32]
 
 SUBSAMPLES = 2
 """Sub-samples along each side of a pixel."""
@@ -64,7 +61,7 @@ class Light:
     y: Floats
     strength: Singles
     ambient: Singles
-    windows: NDArray[np.int64]
+    windows: Ints
 
 
 class Prints(NamedTuple):

@@ -11,15 +11,12 @@ units of fx (26), k4, k5, k6 (27 - 29), and 1 for a fisheye (30).
 from __future__ import annotations
 
 from math import atan2, cos, pi, sin, sqrt
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.sensors import Sensor
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 def packed_sensor(sensor: Sensor) -> Floats:

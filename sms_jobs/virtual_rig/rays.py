@@ -8,12 +8,12 @@ with a patch found by Newton's method on the distance along it. The result is ex
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.scene import Deformation, PanTilt, PlateAndMirror, Rigid, Scene
 from sms_jobs.virtual_rig.deformations import (
@@ -32,8 +32,6 @@ from sms_jobs.virtual_rig.surfaces import (
     patches_of,
     step_to_patch,
 )
-
-Floats: TypeAlias = NDArray[np.float64]
 
 TOUCHING_MM = 1e-6
 """Surfaces closer than this along a ray are one: far above rounding, far below anything measured."""

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncounted_kernel
 from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_px
 from sms_jobs.records.gray_code import Stripes
@@ -26,7 +27,7 @@ from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Simulation
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.virtual_rig.gloss import dimmed, shining
-from sms_jobs.virtual_rig.light import SUBSAMPLES, Floats, Light, Singles, sensor_named
+from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named
 from sms_jobs.virtual_rig.stripes import A_PIXEL, stripe_profile
 
 Image: TypeAlias = NDArray[np.uint16]

@@ -8,16 +8,13 @@ needs no memory, and is the same wherever and however often it is looked up.
 from __future__ import annotations
 
 from math import ceil, floor, pi, sqrt
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.scene import Speckle
 from sms_jobs.virtual_rig.ink import edge_share
-
-Floats: TypeAlias = NDArray[np.float64]
 
 CELL_DIAMETERS = 1.15
 """Side of a cell in mean speckle diameters: covers about 45 % of the ground with paint."""

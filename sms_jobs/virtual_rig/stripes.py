@@ -7,10 +7,10 @@ from math import pi
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.phase.patterns import stripe_brightness
 from sms_jobs.records.gray_code import Stripes
 from sms_jobs.records.scene import ProjectorResponse
-from sms_jobs.virtual_rig.light import Floats, Singles
 
 A_PIXEL = 32
 """Values of a profile in each pixel of the projector: borders of stripes are right to 1/64 px."""

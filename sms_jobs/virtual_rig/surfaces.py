@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import asin, atan2, cos, hypot, inf, pi, sin, sqrt
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.scene import (
@@ -33,8 +33,6 @@ from sms_jobs.records.scene import (
     Vector,
 )
 from sms_jobs.virtual_rig.artefacts import Board, axes_of, bar_centres, edges_mm
-
-Floats: TypeAlias = NDArray[np.float64]
 
 PLANE, CYLINDER, SPHERE = 0, 1, 2
 X_AXIS: Vector = (1.0, 0.0, 0.0)

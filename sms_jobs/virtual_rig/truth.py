@@ -7,21 +7,18 @@ exact to rounding and strains follow from the exact gradient of the deformation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
 from sms_jobs.records.scene import Simulation, Vector
 from sms_jobs.virtual_rig.deformations import carried_points, gradients
 from sms_jobs.virtual_rig.light import direct_light, sensor_named
 from sms_jobs.virtual_rig.optics import image_point, in_image, packed_sensor, pixel_ray
 from sms_jobs.virtual_rig.rays import Specimen, first_hit, specimen_in, surface_normal, unobstructed
-
-Floats: TypeAlias = NDArray[np.float64]
-Flags: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -49,8 +46,8 @@ class Shape:
     normal: Floats
     material: Floats
     region: NDArray[np.int32]
-    seen: Flags
-    lit: Flags
+    seen: Mask
+    lit: Mask
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,7 @@ class Truth:
     displacement: Floats
     green_lagrange: Floats
     small: Floats
-    lit_and_seen_at_end: Flags
+    lit_and_seen_at_end: Mask
 
     def strain(self, measure: str) -> Floats:
         """Return the strain of a measure, `green-lagrange` or `small`."""
@@ -195,7 +192,7 @@ def _small(gradient: Floats, frame: Floats) -> Floats:
     return np.stack([e[:, 0, 0], e[:, 1, 1], 0.5 * (e[:, 0, 1] + e[:, 1, 0])], axis=-1)
 
 
-def _stay(state: Simulation, sights: Floats, specimen: Specimen, ends: Floats, normals: Floats) -> Flags:
+def _stay(state: Simulation, sights: Floats, specimen: Specimen, ends: Floats, normals: Floats) -> Mask:
     """Tell which points show the camera the side that they showed it before, and its partners too."""
     camera = packed_sensor(sensor_named(state, state.camera))
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -225,7 +222,7 @@ def _see_rows(
     stop: int,
     points: Floats,
     region: NDArray[np.int32],
-    lit: Flags,
+    lit: Mask,
 ) -> None:
     ox, oy, oz = camera[16], camera[17], camera[18]
     for i in range(start, stop):
@@ -255,7 +252,7 @@ def _still_seen(
     specimen: Specimen,
     ends: Floats,
     normals: Floats,
-    out: Flags,
+    out: Mask,
 ) -> None:
     ox, oy, oz = camera[16], camera[17], camera[18]
     for i in range(out.shape[0]):

@@ -13,7 +13,8 @@ import pytest
 from PIL import Image
 from support.command import answer, service, sms
 
-from sms_jobs.bench.correlated.speckle_pairs import Floats, speckle_pair
+from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
+from sms_jobs.metrology.arrays import Floats
 
 USAGE = 2
 SIZE = 128

@@ -6,10 +6,9 @@ import csv
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -17,11 +16,10 @@ from sms_jobs.catalogue import search
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.other_fields import PointField, draw_difference, read_point_field
 from sms_jobs.kinds.products import MESH
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.field_names import DISPLACEMENT_SIGMA, DISPLACEMENT_XYZ, SIGMA_CALIBRATION
 from sms_jobs.records.people import Right
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _AXES = ("X", "Y", "Z")
 
@@ -78,7 +76,7 @@ class Difference:
     alignment_rms_mm: float | None
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """Where there is a difference, (n,)."""
         return np.asarray(np.isfinite(self.difference).all(axis=1))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from sms_jobs.app.specimens.frame_choice import Choice, Place
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.calibration.point_factor import KnownView, point_factor, sigma_of
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.specimen_frame import (
@@ -32,8 +32,6 @@ from sms_jobs.metrology.targets.marks import mark_at
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.specimen_frame import FrameDeviation, FramePoint, SpecimenFrame, Vector
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _MOST_OF_A_PLANE = 2000  # pixels of a fitted plane that tell what the calibration adds
 
@@ -88,7 +86,7 @@ class Finder:
         )
 
     @property
-    def _valid(self) -> NDArray[np.bool_]:
+    def _valid(self) -> Mask:
         return np.asarray(self.surface.reason == Reason.VALID)
 
     def _place(self, picked: Place) -> tuple[LocalPlace, tuple[float, float]]:
@@ -109,7 +107,7 @@ class Finder:
         )
         return place.pointed_at(in_image), pixel
 
-    def _region(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _region(self) -> tuple[Ints, Ints]:
         """Return rows and columns of the region's pixels that have a position."""
         try:
             outlines = parse_outlines(self.choice.region)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.field_names import DISPLACEMENT_IN_SPECIMEN, DISPLACEMENT_XYZ
 from sms_jobs.records.fields import DisplacementField, MergedField, Mesh, StrainField, Surface
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _SAME_AXIS = 1e-9  # rounding; a turn of a millionth of a degree is more
 
@@ -80,7 +79,7 @@ def _places(placement: Pose, values: Floats) -> Floats:
     return _vectors(placement, values - shift)
 
 
-def _covariance(placement: Pose, packed: NDArray[np.floating]) -> NDArray[np.float32]:
+def _covariance(placement: Pose, packed: NDArray[np.floating]) -> Singles:
     return turn_covariance(placement.matrix().T, packed).astype(np.float32)
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sms_jobs.bench.correlated.speckle_pairs import Floats, halves
+from sms_jobs.bench.correlated.speckle_pairs import halves
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     MatchSettings,

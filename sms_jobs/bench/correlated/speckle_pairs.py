@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
+
 Displacement = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """From points of the reference (x, y) to their displacement (u, v), all in px."""
 

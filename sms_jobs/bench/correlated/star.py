@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.correlated.lone_camera import FULL_SCALE
-from sms_jobs.bench.correlated.speckle_pairs import Floats, speckle_pair
+from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.fields.spatial_resolution import KEPT, resolution_of
 
 ROWS, COLUMNS = 501, 2000

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.correlated.lone_camera import FULL_SCALE
-from sms_jobs.bench.correlated.speckle_pairs import Displacement, Floats, blobs, seen_through, shift, stamped
+from sms_jobs.bench.correlated.speckle_pairs import Displacement, blobs, seen_through, shift, stamped
+from sms_jobs.metrology.arrays import Floats
 
 SIZE_PX = 512
 _IMAGE = (SIZE_PX, SIZE_PX)

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi, radians, tan
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.bench.fringes.plate_before_wall import rig
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import project, ray_directions
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.records.fields import Surface
@@ -26,8 +26,6 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import START
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _FULL_SCALE = 4095
 _NEAREST_PX, _FARTHEST_PX = (40.0, 30.0), (300.0, 250.0)

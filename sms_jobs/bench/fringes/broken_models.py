@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.bench.fringes import bent_waveforms, fringe_textures
 from sms_jobs.bench.fringes.bent_waveforms import Recording, scores
 from sms_jobs.bench.fringes.fringe_textures import TexturedPlate
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.measurement import FringeSequence
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _LADDER = (32, 31, 30, 28, 24, 16)
 _BOTH, _ALONE = (0.0, pi / 2.0), (0.0,)

@@ -7,17 +7,16 @@ from math import cos, pi, radians, sin, tan
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.fringes.bent_waveforms import Recording
 from sms_jobs.bench.fringes.plate_before_wall import RAYS, rig
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import project, ray_directions
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.virtual_rig.campaigns import START
 
-Floats: TypeAlias = NDArray[np.float64]
 Pattern: TypeAlias = Literal["plain", "waves", "speckle", "squares"]
 
 _FULL_SCALE = 4095

@@ -13,13 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Complexes, Floats, Mask
 from sms_jobs.metrology.phase.fourier_domain_ranging import score_threshold
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.signal import Sequence, Window, ranging_sequence, window_weights
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Flags = NDArray[np.bool_]
 
 _CLIMBS = 12
 _ROWS = 32  # of an image that are peeled at a time
@@ -111,7 +108,7 @@ def _signal(frames: NDArray[Any], sequence: Sequence, full_scale: int) -> tuple[
 
 
 def _peel(
-    signals: _Signals, least: Flags, returns: int, refinements: int, interpolated: bool, threshold: float
+    signals: _Signals, least: Mask, returns: int, refinements: int, interpolated: bool, threshold: float
 ) -> Floats:
     """Return omega, its standard deviation and amplitude, (3, returns, pixels)."""
     omega, amplitude = np.full((2, returns, least.size), np.nan)

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, pi, radians, sin
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.phase.patterns import phase_gradient
@@ -25,9 +24,6 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 from sms_jobs.testing.in_memory import run_kind
 from sms_jobs.virtual_rig.campaigns import START
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 RAYS = 8
 """Along each side of a pixel."""

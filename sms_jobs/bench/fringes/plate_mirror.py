@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.fringes.peeling import peel_returns
@@ -18,6 +17,7 @@ from sms_jobs.kinds.shape.phases import sensor_pair
 from sms_jobs.kinds.shape.ranged_phases import transfers
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, PairingRule
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.phase.sequences import reverse_exponential
@@ -33,9 +33,6 @@ from sms_jobs.virtual_rig.campaigns import START, Size, plate_and_mirror
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import exact_shape
-
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 SUBJECT = Subject("plate-and-mirror", "S00", "C1P1")
 _MARGIN = 5  # px from the edges of plate and light: the thesis's regions of interrogation keep off them too
@@ -57,8 +54,8 @@ class Plate:
 
     calibration: Calibration
     measurement: Measurement
-    once: Flags
-    twice: Flags
+    once: Mask
+    twice: Mask
     hinge_mm: Floats
 
     def points(self, parameters: dict[str, Any], threads: int) -> Surface:
@@ -97,7 +94,7 @@ class Plate:
         rule = PairingRule(volume.low, volume.high, 0.0, density_rms, least_gap=True)
         chosen = pair.choose(slice(0, rows), candidates, rule)
         omega, sigma = chosen.omega, chosen.omega_sigma
-        known: Flags = np.asarray(np.isfinite(omega).all(axis=0))
+        known: Mask = np.asarray(np.isfinite(omega).all(axis=0))
         light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)
         _, beside, _ = correct_texture(
             omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads
@@ -143,8 +140,8 @@ def record(size: Size, fringes: int, threads: int) -> Plate:
     _, rows, columns = light.x.shape
     blocks = light.strength.reshape(2, rows // SUBSAMPLES, SUBSAMPLES, columns // SUBSAMPLES, SUBSAMPLES)
     lit = blocks > 0.0
-    every: Flags = np.asarray(lit.all(axis=(2, 4)))
-    any_of: Flags = np.asarray(lit.any(axis=(2, 4)))
+    every: Mask = np.asarray(lit.all(axis=(2, 4)))
+    any_of: Mask = np.asarray(lit.any(axis=(2, 4)))
     plate = shape.seen & shape.lit & (shape.region == 1)
     inside = np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.bool_)
     twice = ndimage.binary_erosion(plate & every[0] & every[1], inside)
@@ -174,7 +171,7 @@ def only(plate: Plate, densities: tuple[float, ...]) -> Plate:
     return replace(plate, measurement=measurement)
 
 
-def rms_off(off: Floats, where: Flags) -> tuple[float, float]:
+def rms_off(off: Floats, where: Mask) -> tuple[float, float]:
     """Return the rms of what a map knows of some pixels, in its unit, and which part of them it knows."""
     known = off[where & np.isfinite(off)]
     return float(np.sqrt(np.mean(np.square(known)))) if known.size else float("nan"), known.size / where.sum()

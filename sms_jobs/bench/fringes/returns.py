@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.fringes.peeling import Peeled, peel_returns
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 from sms_jobs.metrology.phase.sequences import linear, ranging
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
-
-Floats = NDArray[np.float64]
 
 STEPS = 4
 MODULATION = 1000.0  # grey levels of the strongest return: rounding is then a thousandth of the noise's power
@@ -162,7 +161,7 @@ def stronger_bound(apart_bins: Floats, fringes: int, signal_to_noise: float) -> 
     return single_bound(fringes, signal_to_noise) * np.interp(apart_bins, grid, growth)
 
 
-def found_near(signals: Signals, returns: Returns | Peeled) -> tuple[Floats, NDArray[np.bool_]]:
+def found_near(signals: Signals, returns: Returns | Peeled) -> tuple[Floats, Mask]:
     """Return the error of the found return nearest to each true one, and where all are found.
 
     Found means within a quarter of a bin, each by a return of its own. Errors are (returns, pixels) in rad,
@@ -173,7 +172,7 @@ def found_near(signals: Signals, returns: Returns | Peeled) -> tuple[Floats, NDA
     nearest = np.argmin(np.where(np.isnan(errors), np.inf, np.abs(errors)), axis=1)
     error = np.take_along_axis(errors, nearest[:, None], axis=1)[:, 0]
     near = np.abs(error) < 0.25 * 2.0 * pi / signals.fringes
-    good: NDArray[np.bool_] = np.asarray(near.all(axis=0))
+    good: Mask = np.asarray(near.all(axis=0))
     if len(signals.omega) == 2:
         good &= nearest[0] != nearest[1]
     return error, good

@@ -10,10 +10,11 @@ from statistics import median
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.sessions.bar_session import MANY_SESSIONS, BarSession, Floats, SessionDesign, bar_session
+from sms_jobs.bench.sessions.bar_session import MANY_SESSIONS, BarSession, SessionDesign, bar_session
 from sms_jobs.bench.sessions.drawn_calibrations import of_a_bar_session, ratios
 from sms_jobs.bench.sessions.sphere_scene import NOISE_MM, sphere_scenes
 from sms_jobs.kinds.shape import reconstruct, stereo
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
 from sms_jobs.metrology.calibration.bundle.covariance import point_standard_deviation
 from sms_jobs.metrology.calibration.bundle.cross_validation import cross_validate

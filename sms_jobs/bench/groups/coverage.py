@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
@@ -20,6 +19,7 @@ from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.surface_ports import maker_of
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.records.fields import DisplacementField, PhaseMaps, StrainField, Surface
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.sensors import Calibration
@@ -29,8 +29,6 @@ from sms_jobs.virtual_rig.campaigns import Made, hole_and_step_translation, tens
 from sms_jobs.virtual_rig.stereo_campaigns import stepped, stereo_campaign, stereo_rig
 from sms_jobs.virtual_rig.truth import Truth
 
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 Scores: TypeAlias = dict[tuple[str, str], list[Floats]]
 """Errors in standard deviations, by quantity and stratum."""
 

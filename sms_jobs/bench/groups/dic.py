@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.bench.correlated.half_and_half import HALVES, match_halves
-from sms_jobs.bench.correlated.speckle_pairs import Floats, quadratic, shift, speckle_pair
+from sms_jobs.bench.correlated.speckle_pairs import quadratic, shift, speckle_pair
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, cpu_seconds
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     Matches,
@@ -26,8 +26,6 @@ from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sampl
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.spline import Interpolant
-
-Ints = NDArray[np.int64]
 
 RADIUS = 16
 _NOISE = 10.0  # grey levels, a fortieth of the speckle's contrast

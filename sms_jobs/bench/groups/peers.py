@@ -21,6 +21,7 @@ from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frame
 from sms_jobs.bench.peers import PEERS, Ratio, Timed, in_turn, peers_folder, started, timed
 from sms_jobs.bench.roofline import Peak, Work, matching_work
 from sms_jobs.errors import SmsError
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     Matches,
@@ -33,9 +34,6 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.images.spline import Interpolant
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ROWS, _COLUMNS = 512, 1024
 _SIZE, _RIM, _SPACING, _RADIUS = 512, 41, 5, 16
@@ -86,7 +84,7 @@ class Pair:
         grid, settings = GridSettings(spacing=_SPACING), MatchSettings(_RADIUS)
         return match_grid(self.prepared(), self.images[1], settings, grid, search).matches
 
-    def told(self, program: str, displacement: Floats, converged: NDArray[np.bool_]) -> str:
+    def told(self, program: str, displacement: Floats, converged: Mask) -> str:
         """Return in words how many of some points converged, and the rms error of u and v."""
         error = (displacement - self.truth)[converged]
         return f"{program} {np.count_nonzero(converged)} of {len(converged)}, {rms(error):.5f} px"

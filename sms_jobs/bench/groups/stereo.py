@@ -13,7 +13,6 @@ from sms_jobs.bench.peers import PEERS, peers_folder
 from sms_jobs.bench.two_cameras.errors import (
     OUTLIER_PX,
     OUTLIER_SIGMAS,
-    Floats,
     PointErrors,
     displacement_errors,
     reported_over_observed,
@@ -39,6 +38,7 @@ from sms_jobs.bench.two_cameras.rigid_plates import (
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.scene import Plane
 from sms_jobs.records.scene import Surface as Shape

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 import sms_jobs
@@ -32,6 +31,7 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Kind
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, MERGED, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.reporting import report
 from sms_jobs.kinds.surface_ports import maker_of
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.deformation.strain.tangent_plane import principal_and_equivalent
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
@@ -58,7 +58,6 @@ _SPREAD = 0.3  # of standard deviations about their middle, as texture varies
 _OTHER_LOADS = 0.02
 
 R = TypeVar("R")
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -225,7 +224,7 @@ def _surface(size: tuple[int, int]) -> Surface:
     return Surface(VIEW, "mm", position, reason, _covariance(np.ones(size), away), None, None, SUBSET_PX // 2)
 
 
-def _covariance(spread: Floats, away: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _covariance(spread: Floats, away: Mask) -> Singles:
     packed = np.zeros((6, *spread.shape), np.float32)
     packed[0] = packed[3] = (_SIGMA_MM * spread) ** 2
     packed[5] = (_SIGMA_Z_MM * spread) ** 2

@@ -24,6 +24,7 @@ from sms_jobs.bench.peak_memory import peak_rss_mb
 from sms_jobs.errors import SmsError
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.triangulation import camera_rays
@@ -41,9 +42,6 @@ _DARK = 60.0
 _NORMALS = 1 << 22
 _HINGE_MM = -30.0  # below it the plate is lit a second time
 
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class Scene:
@@ -57,8 +55,8 @@ class Scene:
         (returns, rows, columns) in grey levels.
     """
 
-    omega: Single
-    amplitude: Single
+    omega: Singles
+    amplitude: Singles
 
 
 class SyntheticFrames:
@@ -112,13 +110,13 @@ class SyntheticFrames:
 
 @kernel
 def _expose(
-    omega: Single,
-    amplitude: Single,
+    omega: Singles,
+    amplitude: Singles,
     density: float,
     cosines: Floats,
     sines: Floats,
-    normal: Single,
-    places: NDArray[np.int64],
+    normal: Singles,
+    places: Ints,
     out: NDArray[np.uint16],
 ) -> None:
     """Fill (steps, rows, columns); the noise of a row begins somewhere in a table of normal numbers."""
@@ -158,7 +156,7 @@ def scene(calibration: Calibration, sequence: FringeSequence) -> Scene:
         pixels = project(projector.intrinsics, projector.pose, source)
         for k, orientation in enumerate(sequence.orientations_rad):
             omega[k, r] = phase_gradient(pixels, projector.columns, projector.rows, orientation)
-    lit: NDArray[np.bool_] = np.asarray((np.abs(omega) < pi).all(axis=0))
+    lit: Mask = np.asarray((np.abs(omega) < pi).all(axis=0))
     amplitude = np.empty((2, camera.rows, camera.columns), np.float32)
     amplitude[0] = np.where(lit[0], 700.0 + 200.0 * np.cos(points[..., 0] / 90.0), 0.0)
     amplitude[1] = np.where(lit[1] & (points[..., 1] < _HINGE_MM), 0.5 * amplitude[0], 0.0)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.problem import (
     BarPoints,
     BarPose,
@@ -28,8 +28,6 @@ from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.records.views import Role
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
-
-Floats = NDArray[np.float64]
 
 TABLE_3 = tuple(
     (pan, tilt) for tilt in (-45.0, -22.5, 0.0, 22.5, 45.0) for pan in (-45.0, -22.5, 0.0, 22.5, 45.0)

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from sms_jobs.kinds.calibration import calibrate_boards
 from sms_jobs.kinds.calibration.sessions import OBSERVED_BOARDS, session_plan
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics, Model
 from sms_jobs.records.artefacts import Chessboard
@@ -30,7 +31,6 @@ from sms_jobs.records.views import Role
 from sms_jobs.testing.in_memory import InMemory, unheard
 from sms_jobs.virtual_rig.optics import image_point, packed_sensor
 
-Floats = NDArray[np.float64]
 Bend = Callable[[Floats], Floats]
 """Height (n,) in mm of points (n, 2) that run from -1 to 1 across a board."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.surface_ports import maker_of, position_covariance
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
 from sms_jobs.metrology.calibration.pair_points import moved_sensor
 from sms_jobs.metrology.calibration.point_factor import square_root
@@ -32,8 +32,6 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.testing.shelf import Shelf
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _DIAGONAL = [0, 3, 5]
 _SQUARE_PX = 32

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.kinds.recording.simulate import recipe
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import sphere_regions
 from sms_jobs.metrology.geometry.triangulation import camera_rays
 from sms_jobs.records.artefacts import BallBar
@@ -17,8 +17,6 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefact_truth import true_bar
 from sms_jobs.virtual_rig.sessions import BAR, calibration_session
 from sms_jobs.virtual_rig.truth import exact_shape
-
-Floats = NDArray[np.float64]
 
 NOISE_MM = 0.05
 _WALL_MM = -400.0
@@ -48,7 +46,7 @@ class SphereScene:
     camera_centre: Floats
     bar: BallBar
     centres: Floats
-    region: NDArray[np.bool_]
+    region: Mask
 
 
 def sphere_scenes(poses: int, seed: int) -> Iterator[SphereScene]:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sms_jobs.bench.compared_fields import Flags, Floats, components, rms
+from sms_jobs.bench.compared_fields import components, rms
 from sms_jobs.bench.published import Judged
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.scene import StiffenedPanel
 from sms_jobs.records.subject import Subject
@@ -48,7 +49,7 @@ def exact_regions(truth: Truth, smallest_px: int) -> int:
     return pieces
 
 
-def places(truth: Truth, panel: StiffenedPanel) -> dict[str, Flags]:
+def places(truth: Truth, panel: StiffenedPanel) -> dict[str, Mask]:
     """Return the pixels of the foot's edges at +y and -y, and of the skin beside them, in the middle."""
     x, y, _ = truth.shape.material
     edge, region = 0.5 * panel.foot_width_mm, truth.shape.region

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.scene import StiffenedPanel
 from sms_jobs.records.subject import Subject
@@ -19,9 +18,6 @@ from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import Size
 from sms_jobs.virtual_rig.truth import Truth
 from sms_jobs.virtual_rig.wing_campaigns import disbond_buckling
-
-Floats: TypeAlias = NDArray[np.float64]
-Flags: TypeAlias = NDArray[np.bool_]
 
 WAYS = {"regions": CorrelateParameters(), "plain": CorrelateParameters(regions="none")}
 _PARTS = {"skin": (1,), "foot": (2, 3), "web": (4,)}
@@ -47,7 +43,7 @@ def out_of_plane(field: Floats, normal: Floats) -> Floats:
     return np.asarray(np.einsum("i,irc->rc", normal, field))
 
 
-def lift_of(out: Floats, known: Flags, truth: Truth, panel: StiffenedPanel) -> Lift:
+def lift_of(out: Floats, known: Mask, truth: Truth, panel: StiffenedPanel) -> Lift:
     """Return the lift of the foot off the skin from an out-of-plane displacement."""
     x, y, _ = truth.shape.material
     region, edge = truth.shape.region, 0.5 * panel.foot_width_mm

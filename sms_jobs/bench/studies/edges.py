@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.subject import Subject
@@ -19,8 +19,6 @@ from sms_jobs.records.views import view_of
 from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import hole_and_step_translation
 from sms_jobs.virtual_rig.truth import Truth
-
-Floats = NDArray[np.float64]
 
 RADIUS = 8  # px: the thesis's windows had 16 x 16 px
 WIDTH_LIMIT = 0.005  # px of rms error, beyond which an edge is felt: twice what is left far from it

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate, strain
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.records.subject import Subject
 from sms_jobs.testing.shelf import Shelf, reconstructed
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.truth import Truth
-
-Floats: TypeAlias = NDArray[np.float64]
 
 ANGLES_DEG = (180.0, 45.0, 30.0, 20.0, 10.0)
 NEAR_MM = 20.0
@@ -38,9 +35,7 @@ def distance_from_edges(truth: Truth) -> Floats:
     return distance * pixel_pitch(truth.shape.xyz, np.where(truth.shape.seen, region, 0), 0.5)
 
 
-def errors(
-    shelf: Shelf, subject: Subject, truth: Truth, near: NDArray[np.bool_], angle_deg: float
-) -> list[float]:
+def errors(shelf: Shelf, subject: Subject, truth: Truth, near: Mask, angle_deg: float) -> list[float]:
     """Return rms errors of strain in microstrain: of all pixels, near edges, elsewhere; and that stated."""
     parameters = strain.StrainParameters(gauge_length_mm=_GAUGE_LENGTH_MM, fold_angle_deg=angle_deg)
     shelf.run(strain.KIND, subject, parameters)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.bench.fringes.returns import rms
@@ -16,6 +15,7 @@ from sms_jobs.kinds.kind import DatasetOutput, Inputs
 from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence, Measurement
@@ -38,8 +38,6 @@ RECORDINGS = {
     "one exposure, projector dimmed": "projector",
 }
 _TUPLE = Subject("glossy", "S00", "C1P1")
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

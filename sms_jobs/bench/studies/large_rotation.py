@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.bench.correlated.speckle_pairs import Floats, affine_speckle
+from sms_jobs.bench.correlated.speckle_pairs import affine_speckle
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     Matches,

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sms_jobs.bench.fringes.plate_mirror import UNMASKED, Floats, Plate, only, record, rms_off, unwrapped
+from sms_jobs.bench.fringes.plate_mirror import UNMASKED, Plate, only, record, rms_off, unwrapped
 from sms_jobs.bench.fringes.returns import simulate
 from sms_jobs.bench.published import Judged
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.phase.sequences import ranging
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason

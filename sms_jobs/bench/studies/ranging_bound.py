@@ -7,8 +7,9 @@ from math import pi
 
 import numpy as np
 
-from sms_jobs.bench.fringes.returns import Floats, rms, simulate, single_bound, wrapped
+from sms_jobs.bench.fringes.returns import rms, simulate, single_bound, wrapped
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
+from sms_jobs.metrology.arrays import Floats
 
 FRINGES = (8, 16, 32, 64, 128)
 SIGNAL_TO_NOISE = (5.0, 20.0, 50.0, 200.0)

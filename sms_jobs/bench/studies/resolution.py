@@ -9,10 +9,10 @@ import numpy as np
 
 from sms_jobs.bench.correlated import star
 from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
-from sms_jobs.bench.correlated.speckle_pairs import Floats
 from sms_jobs.bench.correlated.star import Star
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.fields.spatial_resolution import KEPT
 from sms_jobs.metrology.images.texture_quality import examine_texture, match_sigma
 from sms_jobs.records.fields import DisplacementField, ImageMatches

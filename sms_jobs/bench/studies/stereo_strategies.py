@@ -21,6 +21,7 @@ from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.point_matches import trusted_points
 from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.shape.textures import white_texture
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.fields.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching.correlation import (
     NOT_CONVERGED,
@@ -47,9 +48,6 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import Made
 from sms_jobs.virtual_rig.stereo_campaigns import curved, stereo_campaign, stereo_rig
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
 
 COLUMNS = 640
 WAYS = ("each state", "own reference", "left reference")

@@ -8,8 +8,9 @@ from math import pi
 import numpy as np
 
 from sms_jobs.bench.figures import cpu_seconds
-from sms_jobs.bench.fringes.returns import Floats, Signals, simulate, single_bound
+from sms_jobs.bench.fringes.returns import Signals, simulate, single_bound
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
+from sms_jobs.metrology.arrays import Floats
 
 FRINGES = 64
 KAPPA = 3.3

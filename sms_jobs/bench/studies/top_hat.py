@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sms_jobs.bench.compared_fields import Compared, Flags, Mean, lengths, rms
+from sms_jobs.bench.compared_fields import Compared, Mean, lengths, rms
 from sms_jobs.bench.published import Judged
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate
+from sms_jobs.metrology.arrays import Mask
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.subject import Subject
 from sms_jobs.testing.shelf import Shelf, state_by_state
@@ -66,7 +67,7 @@ class Beside:
     found: float
 
 
-def around(truth: Truth, radius_mm: float) -> Flags:
+def around(truth: Truth, radius_mm: float) -> Mask:
     """Return the pixels that see the top within a distance of its middle."""
     x, y, _ = truth.shape.material
     with np.errstate(invalid="ignore"):

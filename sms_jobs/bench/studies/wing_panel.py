@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from sms_jobs.bench.compared_fields import Floats, rms
+from sms_jobs.bench.compared_fields import rms
 from sms_jobs.bench.published import Judged
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate, gauges, strain
 from sms_jobs.kinds.kind import Kind
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.fields import DisplacementField, StrainField
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.scene import AT_ORIGIN, Deformation

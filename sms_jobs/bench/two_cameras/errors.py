@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.fields import DisplacementField, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.virtual_rig.truth import Shape, Truth
-
-Floats: TypeAlias = NDArray[np.float64]
 
 OUTLIER_SIGMAS = 6.0
 OUTLIER_PX = 0.05

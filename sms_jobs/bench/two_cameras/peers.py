@@ -19,6 +19,7 @@ from sms_jobs.bench.two_cameras.plane_meshes import field_at
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import stereo
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
@@ -28,7 +29,6 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 from sms_jobs.testing.shelf import Shelf
 
-Floats: TypeAlias = NDArray[np.float64]
 Image8: TypeAlias = NDArray[np.uint8]
 
 SUBSET_PX, SPACING_PX = 31, 5

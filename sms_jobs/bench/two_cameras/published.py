@@ -7,13 +7,12 @@ this project: they are looked for beside the checkout.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 import sms_jobs
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     MatchSettings,
@@ -24,8 +23,6 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, seed_warps
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.smoothing import smooth
-
-Floats: TypeAlias = NDArray[np.float64]
 
 FOLDER = Path(sms_jobs.__file__).parents[2] / "shared" / "data" / "stereo" / "gt4"
 STATES = range(1, 6)

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import stereo
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.scene import CameraResponse, Plane, Rigid
@@ -25,8 +24,6 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import Made
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign, stereo_rig
-
-Floats: TypeAlias = NDArray[np.float64]
 
 NOISELESS = CameraResponse(bits=16, full_well=1e12, read_noise=0.0)
 STAND_OFF_MM = 500.0

@@ -12,15 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.peers import run_script
-from sms_jobs.bench.witness.scenes import (
-    Floats,
-    MeshTruth,
-    Motions,
-    Sheet,
-    mesh_truth,
-    sheets_of,
-    told_sensor,
-)
+from sms_jobs.bench.witness.scenes import MeshTruth, Motions, Sheet, mesh_truth, sheets_of, told_sensor
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.phase.patterns import fringe_harmonics, span_px
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement

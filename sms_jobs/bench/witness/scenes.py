@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.records.scene import Deformation, Scene
 from sms_jobs.records.sensors import Sensor
@@ -23,8 +24,6 @@ from sms_jobs.virtual_rig.deformations import carried_points, packed_chain
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance
 from sms_jobs.virtual_rig.surfaces import CYLINDER, Cutout, Patch, patches_of
 
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 Motions: TypeAlias = tuple[Deformation, ...]
 
 

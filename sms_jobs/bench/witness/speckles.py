@@ -10,7 +10,8 @@ import numpy as np
 
 from sms_jobs.bench.peers import run_script
 from sms_jobs.bench.witness.fringes import Witnessed, exposed, measurement_of
-from sms_jobs.bench.witness.scenes import Floats, mesh_truth, sheets_of, told_sensor
+from sms_jobs.bench.witness.scenes import mesh_truth, sheets_of, told_sensor
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.sensors import Rig, Sensor

@@ -26,8 +26,9 @@ from sms_jobs.formats.interchange.found_sensors import (
     pose_from,
 )
 from sms_jobs.formats.interchange.xml_elements import Element
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import Floats, Intrinsics
+from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import compose
 from sms_jobs.records.views import Role
 

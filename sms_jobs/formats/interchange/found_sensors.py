@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.errors import ConfigurationError
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import COEFFICIENTS, LENS, Floats, Intrinsics, Model
+from sms_jobs.metrology.geometry.lens import COEFFICIENTS, LENS, Intrinsics, Model
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 from sms_jobs.records.sensors import Box
 from sms_jobs.records.views import Role

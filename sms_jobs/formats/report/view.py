@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.formats.figures import reduced
+from sms_jobs.metrology.arrays import Floats, Labels, Singles
 from sms_jobs.records.reasons import Reason
 
-Values = NDArray[np.float32]
-Labels = NDArray[np.int32]
-ImageValues = (
-    NDArray[np.float64] | NDArray[np.float32] | NDArray[np.uint16] | NDArray[np.uint8] | NDArray[np.int32]
-)
+Values = Singles
+ImageValues = Floats | Singles | NDArray[np.uint16] | NDArray[np.uint8] | NDArray[np.int32]
 
 
 VALID = "valid"

@@ -6,12 +6,9 @@ from collections import defaultdict
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.metrology.calibration.bundle.problem import BoardPoints, BundleProblem, ResidualType
 from sms_jobs.metrology.calibration.bundle.result import Adjustment
-
-Floats = NDArray[np.float64]
 
 _MOST_WHITENED = 3.0
 """Rms of residuals over their stated deviation: more is no noise, and parameters are worse than stated."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import (
     CALIBRATION,
@@ -27,6 +26,7 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, RESPONSE
 from sms_jobs.kinds.shape.foreign_patterns import refuse_foreign_patterns
 from sms_jobs.kinds.shape.fringe_response import SampledResponse, SampleParameters, sampled_response
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import ray_directions
 from sms_jobs.metrology.geometry.triangulation import Projector, triangulate
 from sms_jobs.metrology.phase.response import corrected_gradient
@@ -36,8 +36,6 @@ from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
-
-Floats = NDArray[np.float64]
 
 
 class DiagnoseParameters(SampleParameters):

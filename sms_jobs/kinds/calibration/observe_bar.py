@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
@@ -30,6 +29,7 @@ from sms_jobs.kinds.kind import MEASUREMENT, DatasetOutput, Inputs, Kind, Need, 
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import BAR, CALIBRATED, MEASURED, QUALITY
 from sms_jobs.kinds.shape.phases import sensor_pair
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.calibration.stage.pan_tilt import (
     label_special_poses,
@@ -56,8 +56,6 @@ from sms_jobs.records.views import view_of
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
 _SPECIAL = tuple(Port(name, OBSERVE_BAR, (BAR,)) for name in ("home", "pan", "tilt"))
-
-Floats = NDArray[np.float64]
 
 
 class ObserveBarParameters(Parameters):
@@ -175,7 +173,7 @@ def start_blur(inputs: Inputs, camera: str) -> float:
 
 def _expected(
     inputs: Inputs, shown: BarShown, camera: Sensor, margin_mm: float
-) -> tuple[Floats | None, NDArray[np.bool_] | None]:
+) -> tuple[Floats | None, Mask | None]:
     """Return where the spheres should be, and which pixels may show them; None where nobody can tell."""
     if shown.angles_rad is None or not all(inputs.has(port) for port in _SPECIAL):
         return None, None

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.calibration.sessions import SessionPlan
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.bundle.covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle.cross_validation import CrossValidation
@@ -40,7 +40,6 @@ from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import Role, role_of, view_of
 
-Floats = NDArray[np.float64]
 Boards = Mapping[str, Sequence[BoardObservation]]
 """What views observed of a board, by pose."""
 Bars = Mapping[str, Sequence[BarObservation]]

@@ -28,6 +28,7 @@ from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import SHAPE
 from sms_jobs.kinds.products import CALIBRATED, SURFACE, SYSTEM_TEST
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.transforms import unpack
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.metrology.targets.free_fits import Form, FreeSphere, fit_free_plane, fit_free_sphere
@@ -45,8 +46,6 @@ _RIG = Port("calibration", CALIBRATION, (CALIBRATED,))
 _RIM_PX = 3
 """Of a plate, that sees its edge."""
 _OF_BAR: tuple[Tested, ...] = ("probing-form", "probing-size", "sphere-distance", "length")
-
-Floats = NDArray[np.float64]
 
 
 class SystemTestParameters(Parameters):

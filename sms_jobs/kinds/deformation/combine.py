@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation.align import ViewsParameters
@@ -23,6 +21,7 @@ from sms_jobs.kinds.kind import (
     deformed_states,
 )
 from sms_jobs.kinds.products import ALIGNMENT, MESH
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.joining.common_frame import StrainedSurface, brought, differences
 from sms_jobs.metrology.deformation.joining.merging import join_meshes
 from sms_jobs.metrology.geometry.camera import Pose
@@ -37,8 +36,6 @@ from sms_jobs.records.field_names import (
 )
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.subject import Subject
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _VALUES = (
     *((name, "mm") for name in DISPLACEMENT_XYZ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters,
 from sms_jobs.kinds.deformation.dense_fields import ImageDisplacement, resolution_in_image, spread
 from sms_jobs.kinds.deformation.textured_state import TexturedState
 from sms_jobs.kinds.point_matches import matches_record
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.deformation.fields.displacement import blending_reach
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
@@ -30,9 +31,6 @@ from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettin
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP, ShapeOrder
 from sms_jobs.metrology.images.masks import widened
 from sms_jobs.records.fields import ImageMatches
-
-Ints: TypeAlias = NDArray[np.int64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ class Taken:
         )
         return replace(record, subset_radius=radius[number], shape_order=order[number])
 
-    def resolution(self, before: TexturedState, parameters: CorrelateParameters) -> NDArray[np.float64]:
+    def resolution(self, before: TexturedState, parameters: CorrelateParameters) -> Floats:
         """Return the spatial resolution in px of each pixel, (rows, columns)."""
         each = [resolution_in_image(one.grid, before, _with(parameters, one.subsets)) for one in self.tried]
         return np.array(each)[self.step]

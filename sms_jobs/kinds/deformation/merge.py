@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ from sms_jobs.kinds.products import (
 )
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.deformation.joining.merging import (
     Merged,
     combine_labels,
@@ -64,9 +65,6 @@ from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.statistic_names import maximum_displacement, of_camera
 from sms_jobs.records.subject import Subject
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 _STEP_PX, _STEP_IN_PLANE_PX = 1, 4
@@ -226,7 +224,7 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
     return field, np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
 
 
-def _resolution(moved: Sequence[DisplacementField]) -> tuple[float | None, NDArray[np.float32] | None]:
+def _resolution(moved: Sequence[DisplacementField]) -> tuple[float | None, Singles | None]:
     """Return the coarsest spatial resolution of the views, in px and at each pixel; None if one has none."""
     in_px = [d.resolution_px for d in moved if d.resolution_px is not None]
     each = [d.resolution for d in moved if d.resolution is not None]
@@ -237,7 +235,7 @@ def _resolution(moved: Sequence[DisplacementField]) -> tuple[float | None, NDArr
 
 def _calibrations_part(
     inputs: Inputs, views: Sequence[str], surfaces: Sequence[Surface], moved: Sequence[DisplacementField]
-) -> NDArray[np.float32] | None:
+) -> Singles | None:
     """Return the calibration's part of the merged displacement's sigma; None where a view has none."""
     known = [states_of(inputs, _MOVED, own) for own in _of(inputs, views)]
     states = [one for one in known if one is not None]

@@ -38,6 +38,7 @@ from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, 
 from sms_jobs.kinds.shape.sparse_surface import sparse_surface, with_regions
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.deformation.matching.correlation import (
     LEFT_IMAGE,
     MatchSettings,
@@ -81,8 +82,6 @@ _SATURATED = 0.02
 """Of the lit region, as `acquire` allows it: what was imported nobody has judged before."""
 _OF_A_GAUGE = 3
 """Points: its ends and its middle."""
-
-Floats = NDArray[np.float64]
 
 
 class QuickLookParameters(Parameters):
@@ -307,7 +306,7 @@ def _in_frame(surface: SparseSurface, frame: Pose) -> SparseSurface:
     )
 
 
-def _nothing(gauges: int) -> tuple[Floats, Floats, NDArray[np.float32], Floats, NDArray[np.float32], Any]:
+def _nothing(gauges: int) -> tuple[Floats, Floats, Singles, Floats, Singles, Any]:
     """Return room for what gauges read: place, displacement, sigma, extension, its sigma, and why not."""
     vector, number = np.full((gauges, 3), np.nan), np.full(gauges, np.nan)
     single = np.float32

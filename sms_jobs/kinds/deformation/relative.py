@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from sms_jobs.errors import InvalidInput
@@ -30,6 +29,7 @@ from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MOTION, RELATIVE, SURFACE
 from sms_jobs.kinds.surface_ports import surface_port
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.deformation.fields.rigid_motion import RigidMotion, rigid_motion, with_motion
 from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
 from sms_jobs.metrology.geometry.specimen_frame import tiles_of
@@ -43,8 +43,7 @@ from sms_jobs.records.scene import Vector
 from sms_jobs.records.statistic_names import maximum_displacement
 from sms_jobs.records.subject import Subject
 
-Floats: TypeAlias = NDArray[np.float64]
-Pixels: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64]]
+Pixels: TypeAlias = tuple[Ints, Ints]
 
 _MOST = 20_000  # pixels of a region; neighbours share their errors, and more tell nothing more
 _DIAGONAL = (0, 3, 5)

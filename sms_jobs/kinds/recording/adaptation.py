@@ -8,11 +8,11 @@ from math import ceil
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.instruments.recording_sets import Patterns
 from sms_jobs.kinds.shape.streaming import exposed_slabs
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
 from sms_jobs.metrology.phase.exposure import exposure_set, projector_dimming
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
@@ -24,8 +24,6 @@ QUICK = FringeSequence((16, 15), 3, exposures=(1.0 / 64.0, 1.0 / 8.0, 1.0))
 _LEAST_MODULATION_TO_NOISE = 5.0
 _REACH_PX = 4  # projector pixels over which dimming is made smooth, at least
 _OVERLAP = 1.5  # and how far past the next camera pixel's light
-
-Floats = NDArray[np.float64]
 
 
 Adaptive: TypeAlias = Literal["none", "exposures", "projector"]
@@ -69,7 +67,7 @@ class Outlook:
     full_scale: int
     projector: Pixels
 
-    def dimming(self, exposure: float) -> NDArray[np.float32]:
+    def dimming(self, exposure: float) -> Singles:
         """Return factors for the projector's pixels, (rows, columns), so that one exposure serves all."""
         factor = projector_dimming(
             exposure * self.brightness,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from math import isfinite
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import MOVED, SHAPE
 from sms_jobs.kinds.products import ASSESSMENT, DISPLACEMENT, MEASURED, STRAIN, SURFACE
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port, textured_by
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.records.assessment import Assessment, Errors
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import StrainField
@@ -37,9 +37,6 @@ from sms_jobs.records.scene import Simulation
 from sms_jobs.records.statistic_names import ErrorsOf, of_errors
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.truth import Truth, exact_shape, exact_truth
-
-Floats: TypeAlias = NDArray[np.float64]
-Flags: TypeAlias = NDArray[np.bool_]
 
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 
@@ -104,18 +101,18 @@ def _simulation(inputs: Inputs, port: Port) -> Simulation:
     return simulation
 
 
-def _displacement_errors(inputs: Inputs, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
+def _displacement_errors(inputs: Inputs, truth: Truth, expected: Mask) -> tuple[Errors, Singles]:
     field = inputs.read(_MOVED, DISPLACEMENT)
     return vector_errors(field.displacement - truth.displacement, field.covariance, field.reason, expected)
 
 
-def _strain_errors(field: StrainField, truth: Truth, expected: Flags) -> tuple[Errors, NDArray[np.float32]]:
+def _strain_errors(field: StrainField, truth: Truth, expected: Mask) -> tuple[Errors, Singles]:
     return strain_errors(field.strain - truth.strain(field.measure), field.sigma, field.reason, expected)
 
 
 def vector_errors(
-    error: Floats, covariance: NDArray[np.float32], reason: NDArray[np.uint32], expected: Flags
-) -> tuple[Errors, NDArray[np.float32]]:
+    error: Floats, covariance: Singles, reason: NDArray[np.uint32], expected: Mask
+) -> tuple[Errors, Singles]:
     """Sum up the errors of positions or displacements.
 
     Parameters
@@ -148,8 +145,8 @@ def vector_errors(
 
 
 def strain_errors(
-    error: Floats, sigma: NDArray[np.float32], reason: NDArray[np.uint32], expected: Flags
-) -> tuple[Errors, NDArray[np.float32]]:
+    error: Floats, sigma: Singles, reason: NDArray[np.uint32], expected: Mask
+) -> tuple[Errors, Singles]:
     """Sum up the errors of strains, xx, yy and xy pooled.
 
     Parameters
@@ -185,8 +182,8 @@ def _summed_up(
     bias: float,
     variance: Floats,
     reason: NDArray[np.uint32],
-    used: Flags,
-    expected: Flags,
+    used: Mask,
+    expected: Mask,
 ) -> Errors:
     valid = reason == Reason.VALID
     with np.errstate(divide="ignore", invalid="ignore"):

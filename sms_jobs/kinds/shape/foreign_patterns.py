@@ -12,6 +12,7 @@ from scipy.special import chdtri
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
+from sms_jobs.metrology.arrays import Mask, Singles
 from sms_jobs.metrology.phase.gray_code import (
     UNREAD,
     gradient_at,
@@ -24,8 +25,6 @@ from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient, PhaseGr
 from sms_jobs.records.fields import PhaseMaps
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
-
-Singles = NDArray[np.float32]
 
 _DOUBT = 3.0  # standard deviations of the noise from the threshold, within which a bit may be misread
 _SURE = 4.0  # the same without fringes, which a wrong bit would contradict
@@ -86,11 +85,11 @@ def told_code(sequence: FringeSequence, offsets: tuple[float, ...] = ()) -> Join
 
 
 def stated_by_what_is_left(
-    sigma: NDArray[np.float32],
-    phase_error: NDArray[np.float32],
-    noise: NDArray[np.float32],
+    sigma: Singles,
+    phase_error: Singles,
+    noise: Singles,
     code: JointCode,
-) -> NDArray[np.float32]:
+) -> Singles:
     """Return sigma, larger by what the joint model of an image leaves beyond noise.
 
     A projector that is not linear makes the squares of all pixels larger: the ratio of their median to that
@@ -201,7 +200,7 @@ def check_stripes(
     measurement: Measurement,
     patches: NDArray[Any],
     phase: PhaseMaps,
-    trusted: NDArray[np.bool_],
+    trusted: Mask,
 ) -> None:
     """Check that frames are the Gray code that is told, where it is all there is.
 

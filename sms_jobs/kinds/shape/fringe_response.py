@@ -12,6 +12,7 @@ from pydantic import Field
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.shape.streaming import in_best_exposure
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.response import (
     Response,
@@ -22,9 +23,6 @@ from sms_jobs.metrology.phase.response import (
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.subject import Subject
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _LEAST_PIXELS = 100
 _CLEAN = 0.95  # of the pixels that were asked: the few others change nothing
@@ -107,7 +105,7 @@ def sampled_response(
     good = _thinned(_good(found, measurement, parameters), parameters.most_pixels)
     _refuse_few(good, subject)
 
-    def responses_of(seen: Flags) -> tuple[Response, ...]:
+    def responses_of(seen: Mask) -> tuple[Response, ...]:
         return tuple(
             diagnose_response(
                 some[:, seen], densities, sequence.steps, one.omega[seen], parameters.visibility
@@ -165,7 +163,7 @@ def _significant(response: Response) -> Response:
     return replace(response, harmonics=np.where(told, response.harmonics, 0.0))
 
 
-def _refuse_few(good: Flags, subject: Subject) -> None:
+def _refuse_few(good: Mask, subject: Subject) -> None:
     """Raise where too few pixels are left."""
     if good.sum() < _LEAST_PIXELS:
         raise MeasurementFailed(
@@ -175,7 +173,7 @@ def _refuse_few(good: Flags, subject: Subject) -> None:
         )
 
 
-def _some_rows(measurement: Measurement, rows: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
+def _some_rows(measurement: Measurement, rows: int) -> tuple[Ints, NDArray[Any]]:
     """Return the numbers of evenly spread rows, and their frames."""
     height = measurement.frames.shape[1]
     picked = np.unique(height * (2 * np.arange(rows) + 1) // (2 * rows))
@@ -197,7 +195,7 @@ def _unwrapped(
     )
 
 
-def _good(found: list[PhaseGradient], measurement: Measurement, parameters: SampleParameters) -> Flags:
+def _good(found: list[PhaseGradient], measurement: Measurement, parameters: SampleParameters) -> Mask:
     """Return the pixels with clear fringes of one surface and no saturated frame in every orientation."""
     good = np.ones(found[0].omega.shape, np.bool_)
     for one in found:
@@ -213,7 +211,7 @@ def _good(found: list[PhaseGradient], measurement: Measurement, parameters: Samp
     return good
 
 
-def _thinned(good: Flags, most: int) -> Flags:
+def _thinned(good: Mask, most: int) -> Mask:
     """Keep every n-th of the pixels, so that no more than `most` are left."""
     places = np.flatnonzero(good)
     kept = np.zeros(good.size, np.bool_)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from sms_jobs.kinds.parameters import Parameters
+from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import pixel_size
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
@@ -22,10 +22,6 @@ from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Box
 from sms_jobs.records.subject import Subject
-
-Reasons = NDArray[np.uint32]
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 Method = Literal["temporal-unwrapping", "fdr"]
 UNWRAPPING: Method = "temporal-unwrapping"
@@ -183,6 +179,6 @@ def noise_reasons(
     return reason
 
 
-def mark(reason: Reasons, where: NDArray[np.bool_], why: Reason) -> None:
+def mark(reason: Reasons, where: Mask, why: Reason) -> None:
     """Add a reason to those of the pixels where it holds."""
     reason[where] |= np.uint32(why)

@@ -31,19 +31,10 @@ from sms_jobs.kinds.shape.fringe_response import (
     rough_response,
     sampled_response,
 )
-from sms_jobs.kinds.shape.phase_task import (
-    UNWRAPPING,
-    Floats,
-    Known,
-    PhaseParameters,
-    PhaseTask,
-    Reasons,
-    Singles,
-    mark,
-    noise_reasons,
-)
+from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseParameters, PhaseTask, mark, noise_reasons
 from sms_jobs.kinds.shape.ranged_phases import range_slab, transfers
 from sms_jobs.kinds.shape.streaming import exposed_slabs
+from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.triangulation import Projector
 from sms_jobs.metrology.images.masks import alone, narrowed, phase_error_factor
@@ -230,7 +221,7 @@ def _gradient(
 
 
 def _state_what_is_left(
-    measurement: Measurement, codes: tuple[JointCode, ...], phase: PhaseMaps, trusted: NDArray[np.bool_]
+    measurement: Measurement, codes: tuple[JointCode, ...], phase: PhaseMaps, trusted: Mask
 ) -> None:
     """Put what the model of a joint sequence leaves beyond noise into the sigma of the trusted pixels."""
     level = measurement.noise(phase.mean_intensity[trusted])

@@ -9,17 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.shape.phase_task import (
-    UNWRAPPING,
-    Floats,
-    Known,
-    PhaseTask,
-    Reasons,
-    Singles,
-    mark,
-    noise_reasons,
-)
+from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseTask, mark, noise_reasons
 from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
+from sms_jobs.metrology.arrays import Floats, Reasons, Singles
 from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule
 from sms_jobs.metrology.images.masks import phase_error_factor
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold

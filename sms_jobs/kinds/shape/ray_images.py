@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration_factors import known_view
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
 from sms_jobs.metrology.deformation.matching.epipolar_search import Width
@@ -21,9 +20,6 @@ from sms_jobs.records.calibration import CalibrationFactor
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.views import View
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _LINE_SIGMAS = 6.0
 """How far off the image of a ray to look, in standard deviations that the calibration states."""

@@ -24,7 +24,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from sms_jobs.kinds.calibration_factors import calibration_factor, median_part, position_sigma
@@ -63,6 +62,7 @@ from sms_jobs.kinds.shape.trusted_points import (
     paired_sensors,
 )
 from sms_jobs.kinds.valid_parts import fractions, losses
+from sms_jobs.metrology.arrays import Reasons, Singles
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
@@ -70,8 +70,6 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
-
-Reasons = NDArray[np.uint32]
 
 
 class ReconstructParameters(PhaseParameters):
@@ -174,7 +172,7 @@ def _response_statistics(found: SampledResponse, steps: int) -> dict[str, float]
     } | ({"gamma": gamma} if np.isfinite(gamma) else {})
 
 
-def _exposure_statistics(chosen: NDArray[np.float32], exposures: tuple[float, ...]) -> dict[str, float]:
+def _exposure_statistics(chosen: Singles, exposures: tuple[float, ...]) -> dict[str, float]:
     """Return which part of the pixels each exposure serves, the shortest first."""
     ordered = sorted(exposures)
     return {

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,7 @@ from sms_jobs.kinds.shape.ray_images import (
 )
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.fields.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching.camera_matching import (
     RaySearch,
@@ -92,9 +93,6 @@ from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Calibration, Sensor
 from sms_jobs.records.subject import Subject
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Singles
 from sms_jobs.metrology.phase.exposure import merge_exposures
 from sms_jobs.records.measurement import FrameStack, Measurement
-
-Singles = NDArray[np.float32]
 
 _ROWS = 64  # as in the archive's chunks
 _LEAST_ROWS = 16

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
+from sms_jobs.metrology.arrays import Reasons
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.triangulation import Triangulation
@@ -27,8 +27,6 @@ _UNSTATED_PX = 0.05
 
 LARGEST_SHIFT_PX = 0.5
 """How far off its centre a pixel's light may come from: beyond is the edge of a surface."""
-
-Reasons = NDArray[np.uint32]
 
 
 def paired_sensors(

@@ -13,9 +13,9 @@ The model is that of mrcal's calibration object, with a twist besides and with w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
+
 Outline = tuple[tuple[float, float], tuple[float, float]]
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Mask
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class BoardView:
                 "that are not positive: leave such points out"
             )
 
-    def part(self, kept: NDArray[np.bool_]) -> BoardView:
+    def part(self, kept: Mask) -> BoardView:
         """Return some of its points."""
         return BoardView(self.sensor, self.pose, self.point[kept], self.pixel[kept], self.sigma_px[kept])
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import PER_POSE, Pose, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
-Floats = NDArray[np.float64]
 Parameters: TypeAlias = tuple[Intrinsics, Pose]
 """Inner parameters and pose of a sensor."""
 

@@ -10,18 +10,15 @@ in truth.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.covariance import point_jacobian
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives, ray_derivatives
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, Camera, projection_jacobian
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.metrology.phase.patterns import direction
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _ROUNDING = 1e-14
 """Of the largest variance of a correlation matrix: what is below has none but for rounding."""
@@ -195,7 +192,7 @@ def line_sigma_px(view: KnownView, partner: int, points: Floats) -> Floats:
     return sigma_of((across[:, None] @ rows)[:, 0] @ view.root)
 
 
-def _inside(camera: Camera, pixels: Floats) -> NDArray[np.bool_]:
+def _inside(camera: Camera, pixels: Floats) -> Mask:
     """Return which pixels (n, 2) lie in an image."""
     x, y = pixels.T
     with np.errstate(invalid="ignore"):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
-
-Floats = NDArray[np.float64]
 
 
 def align_points(source: Floats, target: Floats, weights: Floats | None = None) -> Pose:

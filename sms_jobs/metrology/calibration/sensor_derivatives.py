@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics, distort, distortion_jacobian, pixel_jacobian
 from sms_jobs.metrology.geometry.transforms import transform
-
-Floats = NDArray[np.float64]
 
 
 def _cross_matrix(vectors: Floats) -> Floats:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.starting.sensor_start import SensorStart
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.transforms import compose, inverse, transform
-
-Floats = NDArray[np.float64]
 
 _FAR = 0.25
 """Of the size of a board's image, rms: farther off no first value of a lens puts it, another pose does."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sms_jobs.metrology.geometry.lens import LENS, Floats, Intrinsics, distort, distortion_jacobian, undistort
+from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics, distort, distortion_jacobian, undistort
 
 POSE_PARAMETERS = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Parameters of a pose: a small rotation from the left, R <- exp([r]x) R, and the translation."""

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from itertools import starmap
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import Camera, project, ray_directions
-from sms_jobs.metrology.geometry.lens import Floats
 
 _SAME_RAY = 1e-6
 """In 1 - cos: 1.4 mrad between a point and the ray of its pixel, far more than rounding makes."""
@@ -50,7 +49,7 @@ def common_view(first: Camera, second: Camera, points: Floats, largest_angle_rad
     )
 
 
-def _lines(camera: Camera, points: Floats) -> tuple[NDArray[np.bool_], Floats]:
+def _lines(camera: Camera, points: Floats) -> tuple[Mask, Floats]:
     """Return which points lie in the image, and the directions in which the camera sees all of them."""
     along = points - camera.pose.centre()
     along /= np.linalg.norm(along, axis=-1, keepdims=True)

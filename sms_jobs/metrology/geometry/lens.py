@@ -30,9 +30,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias, TypeVar, get_args, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
+
 Coordinate = TypeVar("Coordinate", float, Floats)
 
 _NEWTON_STEPS = 20

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry import lens
-
-Floats = NDArray[np.float64]
 
 _NEWTON_STEPS = 12
 _NEWTON_TOLERANCE = 1e-12  # in units of the focal length: a nanometre at a kilometre

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.phase.patterns import direction, span_px
-
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 
 def to_pixel(orientations: Sequence[float], columns: int, rows: int) -> Floats:
@@ -30,8 +27,8 @@ def to_pixel(orientations: Sequence[float], columns: int, rows: int) -> Floats:
 
 
 def projector_pixels(
-    omega: Floats, omega_sigma: Single, orientations: Sequence[float], columns: int, rows: int
-) -> tuple[Floats, Single]:
+    omega: Floats, omega_sigma: Singles, orientations: Sequence[float], columns: int, rows: int
+) -> tuple[Floats, Singles]:
     """Return the projector's pixel that lit each camera pixel, and its standard deviation.
 
     Parameters

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Ints, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.lens_kernels import undistorted
 from sms_jobs.metrology.geometry.triangulation import (
@@ -40,8 +41,6 @@ from sms_jobs.metrology.geometry.triangulation import (
 )
 from sms_jobs.metrology.phase.patterns import direction, span_px
 
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 Labels = NDArray[np.uint16]
 Vector: TypeAlias = tuple[float, float, float]
 Settings: TypeAlias = tuple[float, float, float, float, float, float, bool]
@@ -68,8 +67,8 @@ class CandidateReturns:
     """
 
     omega: Floats
-    omega_sigma: Single
-    amplitude: Single
+    omega_sigma: Singles
+    amplitude: Singles
 
 
 @dataclass(frozen=True)
@@ -115,14 +114,14 @@ class Pairing:
     """
 
     omega: Floats
-    omega_sigma: Single
-    amplitude: Single
+    omega_sigma: Singles
+    amplitude: Singles
     label: Labels
-    margin: Single
+    margin: Singles
 
 
 @kernel
-def _split(combination: int, counts: NDArray[np.int64], which: NDArray[np.int64]) -> None:
+def _split(combination: int, counts: Ints, which: Ints) -> None:
     """Turn the number of a combination into a return of each orientation, the last counting fastest."""
     for k in range(counts.size - 1, -1, -1):
         which[k] = combination % counts[k]
@@ -131,9 +130,9 @@ def _split(combination: int, counts: NDArray[np.int64], which: NDArray[np.int64]
 
 @kernel
 def _disagreement(
-    amplitude: Single,
+    amplitude: Singles,
     sigma: Floats,
-    which: NDArray[np.int64],
+    which: Ints,
     row: int,
     column: int,
     density_rms: float,
@@ -218,16 +217,16 @@ def _runner_up(
 def _choose_rows(
     rays: Floats,
     omega: Floats,
-    sigma: Single,
-    amplitude: Single,
+    sigma: Singles,
+    amplitude: Singles,
     pair: tuple[Floats, Floats, Floats, Floats, Floats],
     box: Floats,
     settings: Settings,
     block: tuple[int, int],
     chosen: Floats,
-    chosen_maps: Single,
+    chosen_maps: Singles,
     label: Labels,
-    margin: Single,
+    margin: Singles,
 ) -> None:
     """Choose for a block of rows; `chosen_maps` is (2, orientations, rows, columns): sigma and amplitude.
 

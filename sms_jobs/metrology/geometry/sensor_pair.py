@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule, choose_returns
 from sms_jobs.metrology.geometry.triangulation import Projector, Triangulation, camera_rays, triangulate
-
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class SensorPair:
         return camera_rays(self.intrinsics, self.pose, self.rows, self.columns, self.threads)
 
     def meet(
-        self, omega: Floats, omega_sigma: Single, every: int = 1, part: Single | None = None
+        self, omega: Floats, omega_sigma: Singles, every: int = 1, part: Singles | None = None
     ) -> Triangulation:
         """Triangulate phase gradients (orientations, rows, columns) that are of `every`-th row."""
         rays = np.ascontiguousarray(self.rays()[::every])

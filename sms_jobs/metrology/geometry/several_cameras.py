@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
 from sms_jobs.metrology.geometry.camera import Camera, project, ray_directions
 from sms_jobs.metrology.geometry.lens_kernels import by_point, distorted, undistorted
 from sms_jobs.metrology.geometry.triangulation import closest, turned
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _STEPS = 3
 """Of Gauss-Newton from the closest approach of two rays, at most; each squares what is left of hundredths of

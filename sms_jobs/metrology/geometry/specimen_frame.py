@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import rotation_vector, unpack
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 PICKED_WITHIN_PX = 0.5
 """Standard deviation, along each axis of the image, with which a person points at a mark."""
@@ -247,7 +244,7 @@ class FittedPlane:
     used: Mask
 
 
-def fit_plane(points: Floats, tiles: NDArray[np.int64], outward: Floats) -> FittedPlane:
+def fit_plane(points: Floats, tiles: Ints, outward: Floats) -> FittedPlane:
     """Return the plane nearest to points of a surface; those beyond four times the scatter are left out.
 
     Parameters
@@ -312,7 +309,7 @@ def _plane_of(moments: tuple[Floats, ...], outward: Floats) -> tuple[Floats, Flo
     return middle, normal, axes[:, 1:]
 
 
-def tiles_of(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+def tiles_of(rows: Ints, columns: Ints) -> Ints:
     """Return the tile of each pixel (n,): four by four over the box of all."""
     parts = []
     for each in (rows, columns):

@@ -19,8 +19,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.lens import Floats, Intrinsics, undistort
+from sms_jobs.metrology.geometry.lens import Intrinsics, undistort
 from sms_jobs.metrology.geometry.transforms import rotation_from_angles
 
 Pitch: TypeAlias = Literal["L/N", "L/(N-1)"]

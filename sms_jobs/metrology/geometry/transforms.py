@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
-
-Floats = NDArray[np.float64]
 
 PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Row and column of each of the six components of a packed symmetric 3 x 3 tensor."""

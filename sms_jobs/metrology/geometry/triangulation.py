@@ -13,8 +13,8 @@ from math import pi
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, projection_jacobian, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
@@ -23,8 +23,6 @@ from sms_jobs.metrology.geometry.projector_pixels import to_pixel
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.phase.patterns import direction, span_px
 
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 Vector: TypeAlias = tuple[float, float, float]
 
 _NEWTON_STEPS = 12
@@ -59,10 +57,10 @@ class Triangulation:
     """
 
     xyz: Floats
-    covariance: Single
-    ray_gap: Single
-    ray_gap_sigma: Single
-    part: Single
+    covariance: Singles
+    ray_gap: Singles
+    ray_gap_sigma: Singles
+    part: Singles
 
 
 @lru_cache(maxsize=4)
@@ -159,8 +157,8 @@ def turned(turn: Floats, x: float, y: float, z: float) -> Vector:
 def _triangulate_rows(
     rays: Floats,
     omega: Floats,
-    omega_sigma: Single,
-    part: Single,
+    omega_sigma: Singles,
+    part: Singles,
     centres: Floats,
     turn: Floats,
     lens: Floats,
@@ -168,9 +166,9 @@ def _triangulate_rows(
     towards: float,
     block: tuple[int, int],
     xyz: Floats,
-    covariance: Single,
-    gap: Single,
-    told: Single,
+    covariance: Singles,
+    gap: Singles,
+    told: Singles,
 ) -> None:
     """Fill a block of rows of xyz (3, r, c), covariance (6, r, c), gap (2, r, c) and told (r, c).
 
@@ -225,9 +223,9 @@ def triangulate(
     projector: Projector,
     orientations: Sequence[float],
     omega: Floats,
-    omega_sigma: Single,
+    omega_sigma: Singles,
     *,
-    part: Single | None = None,
+    part: Singles | None = None,
     towards_projector: float = 0.0,
     threads: int = 1,
 ) -> Triangulation:
@@ -304,8 +302,8 @@ def _meet_phase_surface(
     projector: Projector,
     orientation: float,
     omega: Floats,
-    omega_sigma: Single,
-    part: Single,
+    omega_sigma: Singles,
+    part: Singles,
     threads: int,
 ) -> Triangulation:
     """Meet each camera ray with the projector's surface of constant phase of one orientation.

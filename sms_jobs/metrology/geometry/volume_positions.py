@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 
-Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 _FORE_AND_AFT = 0.6

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 
 MOST_BLOCKS = 64
 """Blocks along the longer side of an image."""
@@ -31,18 +29,18 @@ class Samples:
         (rows, columns) of the image.
     """
 
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    rows: Ints
+    columns: Ints
     block_px: int
-    valid: NDArray[np.bool_]
+    valid: Mask
 
     @property
-    def pixels(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def pixels(self) -> tuple[Ints, Ints]:
         """Rows and columns, to index an image with."""
         return self.rows, self.columns
 
 
-def sample_blocks(valid: NDArray[np.bool_], most: int = MOST_BLOCKS) -> Samples:
+def sample_blocks(valid: Mask, most: int = MOST_BLOCKS) -> Samples:
     """Return, of blocks of an image (rows, columns), the valid pixel that is nearest to the middle of each.
 
     Of large blocks 4 to 8 pixels along a side are looked at; all, where none of those is valid anywhere.
@@ -62,7 +60,7 @@ def sample_blocks(valid: NDArray[np.bool_], most: int = MOST_BLOCKS) -> Samples:
     return Samples(rows[chosen], columns[chosen], side, valid)
 
 
-def spread(samples: Samples, values: Floats) -> NDArray[np.float32]:
+def spread(samples: Samples, values: Floats) -> Singles:
     """Return a map (components, rows, columns) of values (components, n) at samples; NaN where not valid.
 
     Values are positive. Linear between the middles of the blocks; what a block has not got is that of the
@@ -92,7 +90,7 @@ def _weights(size: int, count: int, side: int) -> Floats:
     return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0))
 
 
-def _shortened(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _shortened(values: Singles) -> Singles:
     """Return values with so many bits of their mantissa, rounded to nearest."""
     lost = 23 - _MANTISSA_BITS
     bits = values.view(np.uint32) + np.uint32(1 << (lost - 1))

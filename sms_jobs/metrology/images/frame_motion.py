@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Singles = NDArray[np.float32]
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 
 _LEAST = 200  # pixels
 _GRADIENT = 3.0
@@ -28,11 +27,11 @@ class ImageShifts:
         (images, 2), along x and y in px, and its standard deviation; NaN where the images cannot tell.
     """
 
-    shift: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    shift: Floats
+    sigma: Floats
 
 
-def image_shifts(images: Singles, usable: NDArray[np.bool_], noise: float) -> ImageShifts:
+def image_shifts(images: Singles, usable: Mask, noise: float) -> ImageShifts:
     """Find the shifts of images of one scene, good to first order, for shifts below the size of its details.
 
     Parameters
@@ -54,7 +53,7 @@ def image_shifts(images: Singles, usable: NDArray[np.bool_], noise: float) -> Im
     across = 0.5 * (reference[..., 2:] - reference[..., :-2]).mean(axis=1)
     down = (reference[:, 1] - reference[:, 0])[:, 1:-1]
     level = reference.mean(axis=1)[:, 1:-1]
-    whole: NDArray[np.bool_] = np.asarray(usable.all(axis=1))
+    whole: Mask = np.asarray(usable.all(axis=1))
     inside = whole[:, 2:] & whole[:, 1:-1] & whole[:, :-2]
     basis = np.stack([-across[inside], -down[inside], level[inside]]).astype(np.float64)
     unknown = np.full((len(images), 2), np.nan)

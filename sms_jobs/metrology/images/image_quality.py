@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Singles
 from sms_jobs.metrology.images.texture_extent import LEAST_CONTRAST
-
-Singles: TypeAlias = NDArray[np.float32]
 
 BLOCK_PX: Final = 16
 """Side of the blocks that are looked at: three or four speckles of a usual size, less than a usual subset."""

@@ -6,15 +6,11 @@ to one region, and a plane fitted to the pixels of that region where they do not
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Labels
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
 
 
 @kernel

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-Mask = NDArray[np.bool_]
+from sms_jobs.metrology.arrays import Mask, Singles
+
 Floating = NDArray[np.floating]
 
 
@@ -87,7 +88,7 @@ def narrowed(mask: Mask, side: int, *, border_ends: bool = False) -> Mask:
     return np.asarray(cv2.erode(image, square) > 0)
 
 
-def distance_inside(mask: Mask) -> NDArray[np.float32]:
+def distance_inside(mask: Mask) -> Singles:
     """Return the distance of each of the mask's pixels from the nearest that is none, in px; 0 for others.
 
     The border of the image is none.

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
+from sms_jobs.metrology.arrays import Floats, Mask
 
 _FRACTION_BITS: Final = 6  # corners are taken to 1/64 px
 _LARGEST: Final = 1e6  # px

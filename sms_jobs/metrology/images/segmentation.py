@@ -17,12 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _CREASE = 1.5  # slopes; 1 is the most that a crease can reach, the rest is for curved sides
 _NOISE = 7.2  # sigmas: 4 of the gap's own sqrt(3.25), with slopes over three pixels
@@ -44,7 +42,7 @@ class ContinuousRegions:
     """
 
     labels: NDArray[np.int32]
-    areas: NDArray[np.int64]
+    areas: Ints
     centroids: Floats
 
 

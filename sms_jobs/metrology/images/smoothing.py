@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.images.masks import box_of, grown
-
-Floats: TypeAlias = NDArray[np.float64]
 
 LARGEST_SMOOTHING_PX = 0.7
 """Just below that of the binomial filter, (1, 2, 1) / 4, beyond which three pixels are too few."""
@@ -45,7 +42,7 @@ def smooth(image: NDArray[np.floating], sigma_px: float) -> Floats:
     return np.asarray(cv2.sepFilter2D(levels, -1, weights, weights, borderType=cv2.BORDER_REPLICATE))
 
 
-def noise_after_smoothing(smoothed: Floats, inside: NDArray[np.bool_], sigma_px: float) -> float:
+def noise_after_smoothing(smoothed: Floats, inside: Mask, sigma_px: float) -> float:
     """Return the factor on the noise's variance with which matching a smoothed texture predicts its errors.
 
     Smoothing makes white noise weaker, and neighbours alike. A match weighs noise by the texture's slopes D

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.compilation import inlined, kernel, summing_kernel
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
 Interpolant: TypeAlias = Literal["quintic", "cubic", "local-cubic"]
 """The quintic and cubic B-splines through an image, or cubic B-splines each through 4 x 4 pixels alone."""
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, pi, sqrt
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.images.rounded_noise import variance_of_rounded
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _SAME = 0.25  # grey levels by which the brightest pixels of two images of one brightness may differ
 _FINE = 1.0 / 16.0  # of a grey level, for what is no whole number

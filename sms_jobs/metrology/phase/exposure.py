@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 HEADROOM = 0.9
 """Part of full scale that white is brought to: the rest is for noise and for what the pre-exposure missed."""

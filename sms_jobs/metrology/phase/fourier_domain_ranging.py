@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log, sqrt
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.batch import resolve_row
@@ -37,9 +38,6 @@ from sms_jobs.metrology.phase.ranging.signal import (
 from sms_jobs.metrology.phase.ranging.transform import bit_reversal, transform_length, twiddles
 from sms_jobs.metrology.phase.ranging.weights import fit_weights, sums_of
 from sms_jobs.metrology.phase.response import Response
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 _LEAST_PART = 0.25  # of the densities that must be free of saturation
 
@@ -76,14 +74,14 @@ class Returns:
     """
 
     omega: Floats
-    omega_sigma: Single
-    amplitude: Single
-    width: Single
+    omega_sigma: Singles
+    amplitude: Singles
+    width: Singles
     count: NDArray[np.uint8]
-    residual: Single
-    mean_intensity: Single
-    modulation: Single
-    saturated: NDArray[np.bool_]
+    residual: Singles
+    mean_intensity: Singles
+    modulation: Singles
+    saturated: Mask
 
 
 def score_threshold(significance: float, count: int) -> float:

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Mask, Singles
 from sms_jobs.metrology.images.masks import phase_error_factor
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma, stepping_weights
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
-
-Singles = NDArray[np.float32]
 
 _CAP = 9.0
 """Of a squared misfit in units of its variance: what is off by more than three deviations is just wrong."""
@@ -101,7 +100,7 @@ class FrameFit:
         (densities,): mean of `residual` over the consistent pixels, and its standard deviation.
     """
 
-    consistent: NDArray[np.bool_]
+    consistent: Mask
     misfit: Singles
     total: float
     residual: Singles
@@ -121,7 +120,7 @@ class FrameFit:
         return self.share < self.least_share
 
     @property
-    def guilty(self) -> NDArray[np.bool_]:
+    def guilty(self) -> Mask:
         """Which frames (densities, steps) depart by more than noise, what is accepted, and the others."""
         return np.asarray(self.misfit > max(_MISFIT, _TO_OTHERS * float(np.median(self.misfit))))
 
@@ -131,7 +130,7 @@ class FrameFit:
         return not (self.few_agree or self.guilty.any())
 
 
-def lit_pixels(levels: NDArray[Any], grey_levels: GreyLevels) -> NDArray[np.bool_]:
+def lit_pixels(levels: NDArray[Any], grey_levels: GreyLevels) -> Mask:
     """Return the pixels, (pixels,), whose frames (frames, pixels) differ by more than noise and are in range.
 
     It needs no word about what the frames show.

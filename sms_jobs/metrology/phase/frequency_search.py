@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.phase.phase_stepping import angle
-
-Floats = NDArray[np.float64]
 
 WRONG_ORDER = 1e-4
 """Probability of another fringe order, given the frames, above which a pixel is ambiguous."""

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
 from sms_jobs.metrology.phase.ranging.signal import ranging_sequence
-
-Floats = NDArray[np.float64]
 
 _MISFIT = 1.5  # chi-square a value that a single blurred return may have; of 126 values it scatters by 0.13
 _LEAST_SIGNAL = 10.0  # modulation over noise of the pixels that are asked

@@ -22,14 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.phase.frequency_search import BESIDE, WRONG_ORDER
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.phase_stepping import angle
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient
-
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 _REFINED = 6  # fringe orders that are looked at closely
 _ROUNDS = 2  # of refinement: the first starts within a tenth of a fringe
@@ -219,7 +217,7 @@ def _fit_rows(
     camera: tuple[int, float, float],
     start: int,
     omega: Floats,
-    maps: Single,
+    maps: Singles,
     flags: NDArray[np.uint8],
 ) -> None:
     """Fit a block of rows, frames (frames, block, columns), into whole maps from row `start` on.

@@ -10,20 +10,19 @@ from collections.abc import Sequence
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-Single = NDArray[np.float32]
+from sms_jobs.metrology.arrays import Singles
 
 
 def merged_sigma(
-    noise: Sequence[Single],
-    chosen: Single,
-    amplitudes: Sequence[Single],
+    noise: Sequence[Singles],
+    chosen: Singles,
+    amplitudes: Sequence[Singles],
     *,
     threshold: float,
     densities: int,
     steps: int,
-) -> Single:
+) -> Singles:
     """Return by how much omega of a merged return may be off, as a standard deviation in rad.
 
     Parameters

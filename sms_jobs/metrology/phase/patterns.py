@@ -8,14 +8,11 @@ omega t (see docs/conventions.md).
 from __future__ import annotations
 
 from math import cos, pi, sin
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import pixel_grid
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 def direction(orientation_rad: float) -> tuple[float, float]:

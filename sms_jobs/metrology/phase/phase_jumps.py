@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from sms_jobs.metrology.phase.frame_fit import FrameFit, Singles
+from sms_jobs.metrology.arrays import Singles
+from sms_jobs.metrology.phase.frame_fit import FrameFit
 
 _KEPT = 0.999
 _EXPLAINED = 0.6  # of the pixels

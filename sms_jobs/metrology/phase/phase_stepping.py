@@ -15,9 +15,8 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import kernel
-
-Floats = NDArray[np.float64]
 
 
 def stepping_weights(steps: int) -> Floats:

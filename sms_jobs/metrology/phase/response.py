@@ -21,11 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Complexes, Floats
 from sms_jobs.metrology.phase.patterns import fringe_harmonics
 from sms_jobs.metrology.phase.phase_stepping import stepping_weights
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 HARMONICS = 6
 """Of a power law up to 2.2 the seventh harmonic is below 1e-4 of the fringe."""

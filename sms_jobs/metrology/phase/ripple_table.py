@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from math import ceil, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.phase.response import HARMONICS, Response, distortion, gradient_ripple
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 _ENTRIES = 32  # a period of the finest ripple: linear interpolation is off by (2 pi / 32)^2 / 8 = 0.5 % of it
 _MARGIN = 0.1  # rad beyond -pi .. pi, more than any ripple

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.phase.frequency_search import find_orders
 from sms_jobs.metrology.phase.phase_stepping import (
@@ -23,9 +24,6 @@ from sms_jobs.metrology.phase.phase_stepping import (
     stepping_weights,
 )
 from sms_jobs.metrology.phase.unwrapping_plan import can_climb, unwrapping_plan
-
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 _AMBIGUOUS = 0.5 * pi  # half way to the next fringe order
 _GUESS = 4.0  # predicted standard deviations of a rung that must fit into pi
@@ -56,13 +54,13 @@ class PhaseGradient:
     """
 
     omega: Floats
-    omega_sigma: Single
-    modulation: Single
-    phase_error: Single
-    mean_intensity: Single
+    omega_sigma: Singles
+    modulation: Singles
+    phase_error: Singles
+    mean_intensity: Singles
     fitted: NDArray[np.uint8]
-    saturated: NDArray[np.bool_]
-    ambiguous: NDArray[np.bool_]
+    saturated: Mask
+    ambiguous: Mask
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares:
 
 @kernel
 def _finish(
-    moments: Floats, squares: Floats, omega: Floats, maps: Single, noise_variance: Floats, q: int, least: int
+    moments: Floats, squares: Floats, omega: Floats, maps: Singles, noise_variance: Floats, q: int, least: int
 ) -> None:
     """Write omega, its standard deviation and the phase error of one row; NaN with too few densities.
 
@@ -142,7 +140,7 @@ def _finish(
 def _mark_ambiguous(
     worst: Floats,
     limits: tuple[float, float],
-    modulation: Single,
+    modulation: Singles,
     noise_variance: Floats,
     q: int,
     ambiguous: NDArray[np.uint8],
@@ -164,13 +162,13 @@ def _unwrap_rows(
     frames: NDArray[Any],
     weights: Floats,
     densities: Floats,
-    rungs: tuple[NDArray[np.int64], NDArray[np.int64], Floats, NDArray[np.int64], Floats, NDArray[np.int64]],
+    rungs: tuple[Ints, Ints, Floats, Ints, Floats, Ints],
     camera: tuple[int, float, float],
     limits: tuple[float, float],
     coarse: Floats,
     start: int,
     omega: Floats,
-    maps: Single,
+    maps: Singles,
     flags: NDArray[np.uint8],
 ) -> None:
     """Unwrap a block of rows, frames (densities * q, block, columns), into whole maps from row `start` on.

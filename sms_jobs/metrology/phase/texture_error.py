@@ -21,12 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 Floating = NDArray[np.floating]
 
 _LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correlation
@@ -40,7 +38,7 @@ _OUTERMOST = 5.0  # in focus s^2 is some five times rough_px, and across the bor
 _TEXTURED = 0.02  # 1/px: several times the noise of ln B, a fiftieth of a speckle's edge
 
 
-Meet: TypeAlias = Callable[[Floats, Single, int], Triangulation]
+Meet: TypeAlias = Callable[[Floats, Singles, int], Triangulation]
 """Triangulates phase gradients and their standard deviations that are of every n-th row."""
 
 
@@ -125,7 +123,7 @@ def _shift_rows(
     start: int,
     stop: int,
     shift: Floats,
-    spread: Single,
+    spread: Singles,
 ) -> None:
     rows, columns = valid.shape
     for row in range(start, stop):
@@ -150,7 +148,7 @@ def _shift_rows(
 
 def texture_shift(
     omega: Floats, valid: Mask, gradient: Floats, rough: Floats, threads: int = 1
-) -> tuple[Floats, Single]:
+) -> tuple[Floats, Singles]:
     """Return by how much the texture moves omega: per unit of s^2, and per px that light is off unseen.
 
     Parameters
@@ -248,15 +246,15 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating, rough: F
 
 def correct_texture(
     omega: Floats,
-    omega_sigma: Single,
-    modulation: Single,
+    omega_sigma: Singles,
+    modulation: Singles,
     usable: Mask,
     meet: Meet | None,
     *,
     blur_px: float | None = None,
     maximum_shift_px: float = np.inf,
     threads: int = 1,
-) -> tuple[Blur, Mask, Single]:
+) -> tuple[Blur, Mask, Singles]:
     """Take the texture's error out of omega, in place, and put what may be left of it into its sigma.
 
     Parameters
@@ -304,7 +302,7 @@ def correct_texture(
 
 
 def _blur_of_gaps(
-    omega: Floats, omega_sigma: Single, shift: Floats, spread: Single, telling: Mask, meet: Meet | None
+    omega: Floats, omega_sigma: Singles, shift: Floats, spread: Singles, telling: Mask, meet: Meet | None
 ) -> Blur:
     """Return the blur that the ray gaps of some rows tell, or that is unknown of a single orientation."""
     if meet is None or len(omega) == 1:

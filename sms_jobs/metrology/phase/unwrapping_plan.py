@@ -13,11 +13,9 @@ from itertools import combinations, pairwise, product
 from math import gcd
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 
 _LARGEST_FACTOR = 8  # of the combinations that are tried where no two densities differ by one fringe
 _ROUNDING = 1e-9  # of densities that are no whole numbers
@@ -47,12 +45,12 @@ class Plan:
     """
 
     densities: tuple[float, ...]
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
+    first: Ints
+    second: Ints
     factors: Floats
-    below: NDArray[np.int64]
+    below: Ints
     density: Floats
-    top: NDArray[np.int64]
+    top: Ints
     amplification: float
 
 
@@ -98,7 +96,7 @@ def can_climb(densities: tuple[float, ...]) -> bool:
     return bool(np.any(_start(_candidates(densities) @ np.array(densities, np.float64))))
 
 
-def _start(rungs: Floats) -> NDArray[np.bool_]:
+def _start(rungs: Floats) -> Mask:
     """Return which rungs need no prediction: their phase is omega times at most 1."""
     return np.asarray((rungs > 0.0) & (rungs <= 1.0 + _ROUNDING))
 
@@ -136,7 +134,7 @@ def _why_ambiguous(densities: tuple[float, ...]) -> str:
 
 
 def _as_plan(
-    densities: tuple[float, ...], rungs: Floats, d: Floats, below: NDArray[np.int64], amplification: float
+    densities: tuple[float, ...], rungs: Floats, d: Floats, below: Ints, amplification: float
 ) -> Plan:
     """Keep only the rungs on the way to a density, each after the one below it."""
     order: list[int] = []

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _DEPTH = 64  # of the stack: more than any tree that fits into memory needs
 _TOUCHING = 1e-9  # mm, below which the line to the closest point has no direction
@@ -38,8 +36,8 @@ class Closest:
     distance: Floats
     point: Floats
     direction: Floats
-    face: Indices
-    on_border: NDArray[np.bool_]
+    face: Ints
+    on_border: Mask
 
 
 @kernel
@@ -95,12 +93,12 @@ def _closest_rows(
     triangles: Floats,
     low: Floats,
     high: Floats,
-    leaves: Indices,
+    leaves: Ints,
     limit: float,
     start: int,
     stop: int,
     closest: Floats,
-    face: Indices,
+    face: Ints,
     feature: NDArray[np.int8],
 ) -> None:
     count, in_leaf = leaves.shape
@@ -167,9 +165,7 @@ def closest_points(
     return Closest(side * length, closest, direction, face, border)
 
 
-def _of_features(
-    surface: TriangleSurface, face: Indices, feature: NDArray[np.int8]
-) -> tuple[Floats, NDArray[np.bool_]]:
+def _of_features(surface: TriangleSurface, face: Ints, feature: NDArray[np.int8]) -> tuple[Floats, Mask]:
     """Return the normal of the face, edge or corner that was found, and whether that lies on the rim."""
     some = np.maximum(face, 0)
     edge, corner = np.clip(feature - 1, 0, 2), np.clip(feature - 4, 0, 2)

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.metrology.surfaces.registration import MeasuredPoints, Registration, distances_to, register
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface
-
-Floats = NDArray[np.float64]
 
 _FEW, _MORE = 300, 1000  # points
 _FIRST, _THEN = 8, 40  # iterations

@@ -8,11 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.images.segmentation import label_regions, surface_gradient
-
-Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 
 _QUADRATIC = 6  # coefficients
 _RING = 3  # px

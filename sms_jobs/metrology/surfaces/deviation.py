@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.rigid_alignment import rigid_modes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.metrology.surfaces.registration import MeasuredPoints, distances_to
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface
-
-Floats = NDArray[np.float64]
 
 PERCENTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 
 def image_normals(xyz: Floats, labels: NDArray[np.int32], half_width: int = 2) -> Floats:

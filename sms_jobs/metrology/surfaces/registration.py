@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.rigid_alignment import rigid_modes
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import rotation_matrix, transform, unpack
 from sms_jobs.metrology.surfaces.closest_points import Closest, closest_points
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface
-
-Floats = NDArray[np.float64]
 
 _FEWEST = 12
 _OPPOSITE = 0.5  # cosine: normals more than 60 degrees apart are not of one surface
@@ -113,7 +112,7 @@ class _Step:
 
 def distances_to(
     surface: TriangleSurface, points: MeasuredPoints, pose: Pose, within_mm: float, threads: int = 1
-) -> tuple[Closest, Floats, NDArray[np.bool_]]:
+) -> tuple[Closest, Floats, Mask]:
     """Return what is closest to the moved points, their distances' sigma in mm, and which are to be trusted.
 
     Trusted are points that face the surface: not beside its rim, and with a normal within 60 degrees of it.

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 
 _IN_LEAF = 4
 
@@ -42,16 +40,16 @@ class TriangleSurface:
     """
 
     vertices: Floats
-    faces: Indices
+    faces: Ints
     triangles: Floats
     face_normals: Floats
     edge_normals: Floats
     vertex_normals: Floats
-    border_edges: NDArray[np.bool_]
-    border_vertices: NDArray[np.bool_]
+    border_edges: Mask
+    border_vertices: Mask
     low: Floats
     high: Floats
-    leaves: Indices
+    leaves: Ints
 
     def area(self) -> Floats:
         """Return the area of each triangle in mm^2, (faces,)."""
@@ -119,7 +117,7 @@ def _unit(vectors: Floats) -> Floats:
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0))
 
 
-def _edges(corners: Indices, normals: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _edges(corners: Ints, normals: Floats) -> tuple[Floats, Mask]:
     """Return the normal of each edge of each triangle, and whether no other triangle has that edge."""
     ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     ends.sort(axis=1)
@@ -130,7 +128,7 @@ def _edges(corners: Indices, normals: Floats) -> tuple[Floats, NDArray[np.bool_]
     return _unit(total)[edge].reshape(-1, 3, 3), (count[edge] == 1).reshape(-1, 3)
 
 
-def _vertex_normals(vertices: Floats, corners: Indices, normals: Floats) -> Floats:
+def _vertex_normals(vertices: Floats, corners: Ints, normals: Floats) -> Floats:
     total = np.zeros_like(vertices)
     for k in range(3):
         here = vertices[corners[:, k]]
@@ -141,7 +139,7 @@ def _vertex_normals(vertices: Floats, corners: Indices, normals: Floats) -> Floa
     return _unit(total)
 
 
-def _tree(triangles: Floats) -> tuple[Floats, Floats, Indices]:
+def _tree(triangles: Floats) -> tuple[Floats, Floats, Ints]:
     """Return boxes in the order of a heap and the triangles of each leaf; a leaf may name one twice."""
     count = len(triangles)
     leaves = 1

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Ints32, Mask, Singles
 from sms_jobs.metrology.targets.circles import Circles, find_circles, refine_circles, semi_axes
 from sms_jobs.metrology.targets.lattice import lattice_places
 from sms_jobs.metrology.targets.patterns import (
@@ -24,9 +24,6 @@ from sms_jobs.metrology.targets.perspective import (
 )
 from sms_jobs.metrology.targets.unseen import why_unseen
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int32]
-
 _LEAST_DOTS = 6
 _LEAST_MARKERS = 2
 _MOST_OUTSIDE = 0.1  # part of the dots of a lattice that may lie outside the board: clutter in its order
@@ -37,7 +34,7 @@ _CENTRE_ROUNDS = 2  # the view is fitted to centres that it corrects: each round
 _NEAR_PREDICTION = 0.15  # of a pitch
 
 
-def _plane(board: DotBoard, place: Ints) -> Floats:
+def _plane(board: DotBoard, place: Ints32) -> Floats:
     """Return places as points (n, 2) in mm that run with columns and rows, whatever the markers say."""
     return np.asarray(place, np.float64) * board.pitch_mm
 
@@ -46,7 +43,7 @@ def _marker_diameter(board: DotBoard) -> float:
     return board.marker_diameter_mm if board.marker_diameter_mm > 0.0 else board.dot_diameter_mm
 
 
-def _flags(board: DotBoard, circles: Circles, which: NDArray[np.int64], place: Ints) -> NDArray[np.bool_]:
+def _flags(board: DotBoard, circles: Circles, which: Ints, place: Ints32) -> Mask:
     """Return which dots of a lattice look like markers."""
     if board.marker == "ring":
         return np.asarray(circles.ring[which])
@@ -58,21 +55,21 @@ def _flags(board: DotBoard, circles: Circles, which: NDArray[np.int64], place: I
     return np.asarray(ratio > _marker_diameter(board) / board.dot_diameter_mm)
 
 
-def _turned(place: Ints, quarter: int) -> Ints:
+def _turned(place: Ints32, quarter: int) -> Ints32:
     """Turn places by quarters of a turn."""
     x, y = place[:, 0], place[:, 1]
     return np.stack([(x, y), (-y, x), (-x, -y), (y, -x)][quarter], axis=-1).astype(np.int32)
 
 
-def _inside(board: DotBoard, place: Ints) -> NDArray[np.bool_]:
+def _inside(board: DotBoard, place: Ints32) -> Mask:
     return np.asarray(((place >= 0) & (place < [board.columns, board.rows])).all(axis=1))
 
 
-def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tuple[Ints, int] | str:
+def _by_markers(board: DotBoard, place: Ints32, flagged: Mask) -> tuple[Ints32, int] | str:
     """Return the places on the board, and how many markers fit; or why there is no single answer."""
     assert board.markers is not None
     markers = [tuple(m) for m in board.markers]
-    found: dict[tuple[int, int, int], tuple[int, int, Ints]] = {}
+    found: dict[tuple[int, int, int], tuple[int, int, Ints32]] = {}
     beyond = 0
     for quarter in range(4):
         turned = _turned(place, quarter)
@@ -114,10 +111,10 @@ def _by_markers(board: DotBoard, place: Ints, flagged: NDArray[np.bool_]) -> tup
     return likely[0][2], likely[0][0]
 
 
-def _by_extent(board: DotBoard, place: Ints, centre: Floats) -> Ints | str:
+def _by_extent(board: DotBoard, place: Ints32, centre: Floats) -> Ints32 | str:
     """Return the places on a board without markers, all of which must be seen."""
     board_size = (board.columns, board.rows)
-    best: tuple[float, Ints] | None = None
+    best: tuple[float, Ints32] | None = None
     for quarter in range(4):
         turned = _turned(place, quarter)
         size = turned.max(axis=0) - turned.min(axis=0) + 1
@@ -141,8 +138,8 @@ def _by_extent(board: DotBoard, place: Ints, centre: Floats) -> Ints | str:
 
 
 def _recover(
-    grey: NDArray[np.float32], board: DotBoard, view: PlaneView, place: Ints, threads: int
-) -> tuple[Circles, Ints]:
+    grey: Singles, board: DotBoard, view: PlaneView, place: Ints32, threads: int
+) -> tuple[Circles, Ints32]:
     """Look for the dots that are missing, where the view says that they are and neighbours surround them."""
     import cv2
 
@@ -164,16 +161,14 @@ def _recover(
     return found.chosen(np.array(kept, dtype=np.int64)), missing[where[kept]]
 
 
-def _diameters(board: DotBoard, place: Ints) -> Floats:
+def _diameters(board: DotBoard, place: Ints32) -> Floats:
     """Return the outer diameters (n,) in mm of the dots at places (n, 2)."""
     markers = [] if board.markers is None else [tuple(m) for m in board.markers]
     wide = np.array([tuple(p) in markers for p in place.tolist()], dtype=bool)
     return np.where(wide, _marker_diameter(board), board.dot_diameter_mm)
 
 
-def _kept(
-    board: DotBoard, circles: Circles, place: Ints, view: PlaneView, refused: dict[str, int]
-) -> NDArray[np.bool_]:
+def _kept(board: DotBoard, circles: Circles, place: Ints32, view: PlaneView, refused: dict[str, int]) -> Mask:
     """Return which dots are as large as they must be and where they must be; count the others."""
     plane = _plane(board, place)
     expected = np.linalg.det(ellipse_matrices(view, plane, _diameters(board, place)))
@@ -219,7 +214,7 @@ def find_board(image: NDArray[np.generic], board: DotBoard, *, threads: int = 1)
     return replace(found, reason=f"{found.reason}: {why}" if why else found.reason)
 
 
-def _find(grey: NDArray[np.float32], board: DotBoard, threads: int) -> BoardPoints:
+def _find(grey: Singles, board: DotBoard, threads: int) -> BoardPoints:
     """Return the points of a board, or the reason that the dots tell."""
     circles = find_circles(grey, ink=board.ink, threads=threads)
     refused = dict(circles.refused)
@@ -254,10 +249,10 @@ def _find(grey: NDArray[np.float32], board: DotBoard, threads: int) -> BoardPoin
 
 
 def _finished(
-    grey: NDArray[np.float32],
+    grey: Singles,
     board: DotBoard,
     circles: Circles,
-    place: Ints,
+    place: Ints32,
     markers_seen: int,
     refused: dict[str, int],
     threads: int,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.targets.patterns import BoardPoints, not_found
 from sms_jobs.metrology.targets.saddle_fit import fit_saddles
 from sms_jobs.metrology.targets.unseen import other_chessboard, why_unseen
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _DISC = 0.4  # of the distance to the nearest corner, so that no other corner is in sight
 _MOST_DISC_PX = 12.0  # lines are straight and light is a plane in that
@@ -29,7 +26,7 @@ _LARGER = (
 _NOTHING_WRONG = "show it whole, flat and with a white border about it"
 
 
-def _eight_bits(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _eight_bits(image: Singles) -> NDArray[np.uint8]:
     """Return an image scaled to 8 bits, without its brightest and darkest thousandth."""
     low, high = np.percentile(image[::4, ::4], (0.1, 99.9))
     scaled = (image - low) * (255.0 / max(high - low, 1e-6))
@@ -59,7 +56,7 @@ def _ways(grid: Floats) -> tuple[Floats, Floats]:
     return np.gradient(grid, axis=1), np.gradient(grid, axis=0)
 
 
-def _fitted(image: NDArray[np.float32], grid: Floats, threads: int) -> tuple[Floats, Floats, Floats, Floats]:
+def _fitted(image: Singles, grid: Floats, threads: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Return corners, covariances, contrasts and residuals, each (rows, columns, ...)."""
     along, down = _ways(grid)
     nearest = np.minimum(np.hypot(*np.moveaxis(along, -1, 0)), np.hypot(*np.moveaxis(down, -1, 0)))
@@ -92,7 +89,7 @@ def _is_regular(corner: Floats, contrast: Floats) -> bool:
     return True
 
 
-def _goes_on(image: NDArray[np.float32], grid: Floats, contrast: Floats, threads: int) -> bool:
+def _goes_on(image: Singles, grid: Floats, contrast: Floats, threads: int) -> bool:
     """Say whether corners follow beyond one of the four sides of a grid: then it is a part of a larger one.
 
     Beyond a board's own last corners lies the outer edge of its squares, whose corners are dark on one

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.targets import ellipse_fit
 from sms_jobs.metrology.targets.ellipse_fit import FittedEllipses, fit_ellipses
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _WINDOWS = (
     1 / 80,
@@ -67,7 +66,7 @@ class Circles:
     ground: Floats
     ink: Floats
     residual: Floats
-    ring: NDArray[np.bool_]
+    ring: Mask
     hole_centre: Floats
     hole_covariance: Floats
     hole_matrix: Floats
@@ -77,7 +76,7 @@ class Circles:
         """Return ink minus ground, (n,), in grey levels."""
         return np.asarray(self.ink - self.ground)
 
-    def chosen(self, which: NDArray[np.int64]) -> Circles:
+    def chosen(self, which: Ints) -> Circles:
         """Return some of the circles, by number."""
         some = {name: getattr(self, name)[which] for name in _ARRAYS}
         return Circles(**some, refused=self.refused)
@@ -103,7 +102,7 @@ def semi_axes(matrix: Floats) -> tuple[Floats, Floats]:
     return 1.0 / values, (angle + np.pi / 2) % np.pi - np.pi / 2
 
 
-def noise_of(image: NDArray[np.float32]) -> float:
+def noise_of(image: Singles) -> float:
     """Return the standard deviation of an image's noise, in grey levels.
 
     From the median size of a second difference in both directions, which flat and sloping light leave out
@@ -116,7 +115,7 @@ def noise_of(image: NDArray[np.float32]) -> float:
     return float(np.median(np.abs(second)) / 0.6745 / 6.0)
 
 
-def _contours(excess: NDArray[np.float32], window: int, noise: float) -> list[NDArray[np.int32]]:
+def _contours(excess: Singles, window: int, noise: float) -> list[NDArray[np.int32]]:
     """Return the outlines of what is more like ink than its surroundings of `window` px."""
     import cv2
 
@@ -188,7 +187,7 @@ def _matrices(starts: Floats) -> Floats:
     return starts[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
 
 
-def _middle(image: NDArray[np.float32], centre: Floats) -> Floats:
+def _middle(image: Singles, centre: Floats) -> Floats:
     """Return the grey level at each centre (n, 2), by bilinear interpolation, (n,)."""
     import cv2
 
@@ -198,7 +197,7 @@ def _middle(image: NDArray[np.float32], centre: Floats) -> Floats:
     ).reshape(-1)
 
 
-def _holes(image: NDArray[np.float32], fit: FittedEllipses, ring: NDArray[np.bool_]) -> FittedEllipses:
+def _holes(image: Singles, fit: FittedEllipses, ring: Mask) -> FittedEllipses:
     """Fit the inner ellipses of rings; starts of 0.35, 0.5 and 0.65 of the outer one, the best one kept."""
     centre, matrix = fit.centre[ring], fit.matrix[ring]
     semi = semi_axes(matrix)[0][:, 1] if len(matrix) else np.empty(0)
@@ -217,7 +216,7 @@ def _holes(image: NDArray[np.float32], fit: FittedEllipses, ring: NDArray[np.boo
     return best
 
 
-def _judged(fit: FittedEllipses, dark: bool, noise: float, refused: dict[str, int]) -> NDArray[np.bool_]:
+def _judged(fit: FittedEllipses, dark: bool, noise: float, refused: dict[str, int]) -> Mask:
     """Return which fits are dots, and count the reasons of the others."""
     good = fit.status == ellipse_fit.FITTED
     for status, reason in _REASONS.items():
@@ -239,7 +238,7 @@ def _judged(fit: FittedEllipses, dark: bool, noise: float, refused: dict[str, in
 
 
 def refine_circles(
-    image: NDArray[np.float32],
+    image: Singles,
     centre: Floats,
     matrix: Floats,
     *,

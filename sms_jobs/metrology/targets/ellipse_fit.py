@@ -11,14 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-
-Floats: TypeAlias = NDArray[np.float64]
 
 FITTED = 0
 TOO_FEW_PIXELS = 1
@@ -68,11 +66,11 @@ class FittedEllipses:
     ink: Floats
     residual: Floats
 
-    def chosen(self, which: NDArray[np.bool_]) -> FittedEllipses:
+    def chosen(self, which: Mask) -> FittedEllipses:
         """Return some of the ellipses."""
         return FittedEllipses(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
-    def where(self, better: NDArray[np.bool_], others: FittedEllipses) -> FittedEllipses:
+    def where(self, better: Mask, others: FittedEllipses) -> FittedEllipses:
         """Return as many ellipses, the others' where they are better."""
         parts = {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
         for name, part in parts.items():
@@ -82,7 +80,7 @@ class FittedEllipses:
 
 @kernel
 def _near_edge(
-    image: NDArray[np.float32], p: Floats, inner: float, outer: float
+    image: Singles, p: Floats, inner: float, outer: float
 ) -> tuple[int, Floats]:  # pragma: no cover - compiled
     """Return the pixels (x, y, grey level, distance) near the edge of an ellipse; -1 beyond the border."""
     rows, columns = image.shape
@@ -194,7 +192,7 @@ def _step(
 
 
 @kernel
-def _fit_one(image: NDArray[np.float32], start: Floats, out: Floats) -> int:  # pragma: no cover - compiled
+def _fit_one(image: Singles, start: Floats, out: Floats) -> int:  # pragma: no cover - compiled
     p = np.zeros(_PARAMETERS)
     for i in range(5):
         p[i] = start[i]
@@ -238,7 +236,7 @@ def _fit_one(image: NDArray[np.float32], start: Floats, out: Floats) -> int:  # 
 
 @kernel
 def _fit_block(
-    image: NDArray[np.float32],
+    image: Singles,
     starts: Floats,
     first: int,
     last: int,
@@ -250,7 +248,7 @@ def _fit_block(
 
 
 def fit_ellipses(
-    image: NDArray[np.float32],
+    image: Singles,
     centre: Floats,
     matrix: Floats,
     inner: Floats,

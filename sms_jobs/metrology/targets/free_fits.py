@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Mask
 
 _STEPS = 50
 _STILL = 1e-10  # of the radius, or of a unit vector
@@ -103,7 +101,7 @@ def fit_free_sphere(
     return FreeSphere(unknown[:3], float(unknown[3]), float(np.sqrt(of_radius)), _form(residual, variance))
 
 
-def fit_free_plane(points: Floats, covariance: Floats) -> tuple[Form, NDArray[np.bool_]]:
+def fit_free_plane(points: Floats, covariance: Floats) -> tuple[Form, Mask]:
     """Return what remains of points (n, 3) in mm about their plane, and which of them belong to it.
 
     `covariance` is (n, 3, 3) in mm^2. Points beyond four robust standard deviations are left out, and the

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int32]
+from sms_jobs.metrology.arrays import Floats, Ints, Ints32
 
 _NEIGHBOURS = 16
 _SEEDS = 40
@@ -20,7 +17,7 @@ _OPPOSITE_TOLERANCE = 0.35
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-def lattice_places(centre: Floats, matrix: Floats, step_over_radius: float) -> tuple[NDArray[np.int64], Ints]:
+def lattice_places(centre: Floats, matrix: Floats, step_over_radius: float) -> tuple[Ints, Ints32]:
     """Find the largest square lattice among dots.
 
     A dot is a circle, hence M, which makes its image one, makes the lattice about it square: neighbours are
@@ -64,9 +61,7 @@ def lattice_places(centre: Floats, matrix: Floats, step_over_radius: float) -> t
     return which, np.array([best[int(i)] for i in which], dtype=np.int32).reshape(-1, 2)
 
 
-def _cross(
-    i: int, near: NDArray[np.int64], centre: Floats, matrix: Floats, step: float
-) -> tuple[int, int] | None:
+def _cross(i: int, near: Ints, centre: Floats, matrix: Floats, step: float) -> tuple[int, int] | None:
     """Return the neighbours of dot i along the first and second direction, if it has all four."""
     others = near[near != i]
     q = (centre[others] - centre[i]) @ matrix[i]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.targets.circles import Circles, find_circles
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _WINDOW_PX = 200
 """Half the side of the piece of the image that a mark is looked for in; marks are smaller by far."""

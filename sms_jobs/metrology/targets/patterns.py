@@ -7,10 +7,9 @@ from math import nan
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int32]
+from sms_jobs.metrology.arrays import Floats, Ints32
+
 Place: TypeAlias = tuple[int, int]
 
 
@@ -94,7 +93,7 @@ class BoardPoints:
         Why the board was not found, empty where it was; without a board there are no points.
     """
 
-    place: Ints
+    place: Ints32
     point: Floats
     centre_px: Floats
     covariance_px: Floats
@@ -123,7 +122,7 @@ def not_found(reason: str, refused: dict[str, int]) -> BoardPoints:
     )
 
 
-def board_points(board: DotBoard, place: Ints) -> Floats:
+def board_points(board: DotBoard, place: Ints32) -> Floats:
     """Return the points (n, 3) in mm, in the board's frame, of places (n, 2) of column and row.
 
     The origin is the first marker, x runs along the columns towards the second, y along the rows towards

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import perm
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 _DEGREES = ((60, 5), (30, 3), (14, 2))  # the bend's degree, by the least number of points that it needs
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats
 
 _REACH_OVER_RADIUS = 2.0  # the ink of a dot and as much of the ground as there is
 _LEAST_REACH_PX = 8.0

@@ -9,14 +9,11 @@ errors of blur and contrast do not move it.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _PARAMETERS = 9
 _ITERATIONS = 30
@@ -30,7 +27,7 @@ _SLOPE = math.sqrt(2.0 / math.pi)
 
 @kernel
 def _normal_equations(
-    image: NDArray[np.float32], p: Floats, middle: Floats, radius: float, normal: Floats, right: Floats
+    image: Singles, p: Floats, middle: Floats, radius: float, normal: Floats, right: Floats
 ) -> tuple[float, int]:  # pragma: no cover - compiled
     """Fill the normal equations of a Gauss-Newton step; return the sum of squares and the pixels used."""
     rows, columns = image.shape
@@ -70,7 +67,7 @@ def _normal_equations(
 
 
 @kernel
-def _fit_one(image: NDArray[np.float32], start: Floats, out: Floats) -> None:  # pragma: no cover - compiled
+def _fit_one(image: Singles, start: Floats, out: Floats) -> None:  # pragma: no cover - compiled
     p = np.zeros(_PARAMETERS)
     p[0], p[1], p[2], p[3], radius = start[0], start[1], start[2], start[3], start[4]
     p[4] = 1.0
@@ -114,14 +111,14 @@ def _fit_one(image: NDArray[np.float32], start: Floats, out: Floats) -> None:  #
 
 @kernel
 def _fit_block(
-    image: NDArray[np.float32], starts: Floats, first: int, last: int, out: Floats
+    image: Singles, starts: Floats, first: int, last: int, out: Floats
 ) -> None:  # pragma: no cover - compiled
     for i in range(first, last):
         _fit_one(image, starts[i], out[i])
 
 
 def fit_saddles(
-    image: NDArray[np.float32],
+    image: Singles,
     corner: Floats,
     first_angle: Floats,
     second_angle: Floats,

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
-
-Floats = NDArray[np.float64]
 
 
 def sphere_image_in_projector(

@@ -8,7 +8,7 @@ from math import sin
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 
 OUTLIER_LIMIT = 4.0
 """Points farther off, in standard deviations, are outliers: one good point in 16,000."""
@@ -53,10 +53,10 @@ class SphereFit:
     rms: float
     misfit: float
     coverage: float
-    inlier: NDArray[np.bool_]
-    limb: NDArray[np.bool_]
-    front: NDArray[np.bool_]
-    behind: NDArray[np.bool_]
+    inlier: Mask
+    limb: Mask
+    front: Mask
+    behind: Mask
 
 
 def ray_residuals(
@@ -176,7 +176,7 @@ def _robustly(
 
 def _plainly(
     directions: Floats, distances: Floats, sigma: Floats, offset: Floats, radius_mm: float, sine_limit: float
-) -> tuple[Floats, NDArray[np.bool_]] | None:
+) -> tuple[Floats, Mask] | None:
     """Return the least-squares centre of the points that lie on the surface, and which these are."""
     inlier = np.zeros(len(sigma), dtype=np.bool_)
     for _ in range(_STEPS):
@@ -211,7 +211,7 @@ def _report(
     offset: Floats,
     camera_centre: Floats,
     radius_mm: float,
-    inlier: NDArray[np.bool_],
+    inlier: Mask,
     sine_limit: float,
 ) -> SphereFit | None:
     residual, slope, sine = ray_residuals(directions, distances, offset, radius_mm)
@@ -265,7 +265,7 @@ def _coverage(directions: Floats, offset: Floats, radius: float) -> float:
     return np.unique(ring * _SECTORS + sector).size / (_RINGS * _SECTORS)
 
 
-def spread_pixels(pixels: NDArray[np.int32], limit: int) -> NDArray[np.int64]:
+def spread_pixels(pixels: NDArray[np.int32], limit: int) -> Ints:
     """Choose pixels that are evenly spread over the area that all of them cover.
 
     Parameters

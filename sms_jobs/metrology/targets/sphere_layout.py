@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints
 
 SEPARATION_TOLERANCE = 0.01
 """Of a bar's length; an earlier calibration is better than that."""
@@ -57,7 +56,7 @@ class Sphere:
     coverage: float
     votes: int
     pixels: NDArray[np.int32]
-    selected: NDArray[np.int64]
+    selected: Ints
     refused: dict[str, int]
     off_prediction_mm: float
 

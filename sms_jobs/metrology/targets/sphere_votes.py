@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
-
-Floats = NDArray[np.float64]
 
 _HALF = 2  # pixels to each side of a normal's window: a sphere that is 25 px across is round over 5 of them
 _LEAST_NEIGHBOURS = 12  # of the 25 of a window: about half
@@ -26,9 +24,7 @@ _NEIGHBOURS = np.array(
 
 
 @inlined
-def _slopes(
-    points: Floats, region: NDArray[np.bool_], row: int, column: int, radius: float, across: Floats
-) -> bool:
+def _slopes(points: Floats, region: Mask, row: int, column: int, radius: float, across: Floats) -> bool:
     """Fill the least-squares slopes (2, 3) of a surface along rows and columns at a point, in mm per pixel.
 
     Points farther away than the radius are another surface. False where too few are left.
@@ -78,7 +74,7 @@ def _slopes(
 @kernel
 def _vote(
     points: Floats,
-    region: NDArray[np.bool_],
+    region: Mask,
     camera: Floats,
     radius: float,
     step: int,
@@ -136,7 +132,7 @@ class Peak:
 
 def sphere_peaks(
     points: Floats,
-    region: NDArray[np.bool_],
+    region: Mask,
     camera_centre: Floats,
     radius_mm: float,
     limit: int,

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.targets.sphere_fit import SphereFit, fit_sphere, spread_pixels
 from sms_jobs.metrology.targets.sphere_layout import SEPARATION_TOLERANCE, Sphere, SphereLayout
 from sms_jobs.metrology.targets.sphere_votes import Peak, sphere_peaks
-
-Floats = NDArray[np.float64]
 
 INCIDENCE_LIMIT = radians(60.0)
 """Points seen more obliquely are left out: light scatters across a limb, and depth there means little."""
@@ -66,7 +65,7 @@ class _Cloud:
 
     points: Floats
     sigma: NDArray[np.floating]
-    region: NDArray[np.bool_]
+    region: Mask
     camera: Floats
 
 
@@ -77,7 +76,7 @@ def find_spheres(
     camera_centre: Floats,
     *,
     layout: SphereLayout = TWO_SPHERES,
-    region: NDArray[np.bool_] | None = None,
+    region: Mask | None = None,
     select: int = 500,
     incidence_limit: float = INCIDENCE_LIMIT,
     threads: int = 1,
@@ -193,7 +192,7 @@ def _checked(
     points: Floats,
     point_sigma: NDArray[np.floating] | float,
     radius_mm: float,
-    region: NDArray[np.bool_] | None,
+    region: Mask | None,
     camera_centre: Floats,
 ) -> _Cloud:
     """Return the cloud; raise `InvalidInput` for arrays that do not belong together."""
@@ -270,7 +269,7 @@ def _measure(
     )
 
 
-def _beside(usable: NDArray[np.bool_], fit: SphereFit) -> NDArray[np.bool_]:
+def _beside(usable: Mask, fit: SphereFit) -> Mask:
     """Return the pixels within two of something that covers the sphere or joins it, such as the bar.
 
     Where it meets the sphere its points are within the noise of the surface, all to the same side. Points

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Singles
 
 _LEAST_CONTRAST = 12.0
 """Of bright over dark, in units of the noise from pixel to pixel: corners fade below."""
@@ -21,7 +19,7 @@ _WIDEST_EDGE_PX = 8.0
 _SMALLEST = (3, 3)
 
 
-def why_unseen(image: NDArray[np.float32]) -> str:
+def why_unseen(image: Singles) -> str:
     """Say what is wrong with a picture in which no board was found; nothing where light and focus are right.
 
     Parameters

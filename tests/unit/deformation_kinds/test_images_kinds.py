@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sms_jobs.bench.correlated.speckle_pairs import Floats, speckle_pair
+from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation import correlate, gauges, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
@@ -20,6 +20,7 @@ from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.shape import plane
 from sms_jobs.kinds.shape.plane import PlaneParameters
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
 from sms_jobs.records.fields import DisplacementField, StrainField, Surface

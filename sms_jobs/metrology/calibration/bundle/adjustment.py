@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.board_points import (
     PointsFound,
     judge_points,
@@ -67,8 +67,6 @@ from sms_jobs.metrology.calibration.bundle.weights import (
     estimate_scale,
     first_scale,
 )
-
-Floats = NDArray[np.float64]
 
 _FEWEST_ON_SPHERE = 12
 _FEWEST_ON_BOARD = 6
@@ -147,9 +145,7 @@ def _kept(observed: Observed, packed: Packed, scale: Floats, options: BundleOpti
         return Live((bar <= options.reject) & facing, board <= options.reject)
 
 
-def _enough(
-    problem: BundleProblem, packed: Packed, live: Live
-) -> tuple[Live, NDArray[np.bool_], NDArray[np.bool_]]:
+def _enough(problem: BundleProblem, packed: Packed, live: Live) -> tuple[Live, Mask, Mask]:
     """Drop spheres and board poses with too few points; return what lives, and which are seen."""
     sphere = np.zeros((len(problem.bar_poses), 2), np.int64)
     board = np.zeros(len(problem.board_poses), np.int64)

@@ -12,17 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.calibration.bundle.normal_equations import Block, Observed, Packed
 from sms_jobs.metrology.calibration.bundle.parameters import Freedom, Layout, State, parameter_names
 from sms_jobs.metrology.calibration.bundle.problem import BundleProblem
 from sms_jobs.metrology.calibration.bundle.residuals import BOARD_SIZE, board_rows
 from sms_jobs.metrology.compilation import kernel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _MOST_GROUPS = 500
 """Points that are looked at one by one; of boards with more, neighbours share what they are off by."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.covariance import point_jacobian
 from sms_jobs.metrology.calibration.bundle.linear import inverse
 from sms_jobs.metrology.calibration.bundle.normal_equations import Live, Packed
@@ -21,8 +21,6 @@ from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
-
-Floats = NDArray[np.float64]
 
 _MOST_RELATIVE = 0.01
 """Of a focal length, and of a principal point over the focal length: beyond it nothing is linear."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.parameters import sensor_arrays
 from sms_jobs.metrology.calibration.bundle.rays import along_change, pin_hole, ray, to_sensor
 from sms_jobs.metrology.calibration.bundle.result import Adjustment
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.lens import PER_LENS, Intrinsics
-
-Floats = NDArray[np.float64]
 
 
 @kernel

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
@@ -20,8 +19,6 @@ from sms_jobs.metrology.calibration.bundle.problem import (
 from sms_jobs.metrology.calibration.bundle.result import Adjustment
 from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
 from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,9 @@ the CPU time of these kernels; kept to one thread from outside, 0.8 to 0.9 of it
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import summing_kernel
-
-Floats = NDArray[np.float64]
 
 
 @summing_kernel

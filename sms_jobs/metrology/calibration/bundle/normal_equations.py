@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.calibration.board_shape import shape_terms
 from sms_jobs.metrology.calibration.bundle.parameters import Layout, State, starting_state
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem
@@ -21,10 +21,6 @@ from sms_jobs.metrology.calibration.bundle.residuals import (
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.transforms import rotation_vector
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 _LONGEST_BLOCK = 2048
 
@@ -166,8 +162,8 @@ class Observed:
 class Live:
     """Which observations take part, (n,) of bars and (m,) of boards."""
 
-    bar: Bools
-    board: Bools
+    bar: Mask
+    board: Mask
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.problem import BundleProblem, BundleSensor
 from sms_jobs.metrology.calibration.bundle.residuals import PER_BOARD
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, POSE_PARAMETERS, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Ints = NDArray[np.signedinteger]
 
 
@@ -90,7 +89,7 @@ class Freedom:
         (follower, leader, ratio): changes by ratio times the leader's change, and is not in `free`.
     """
 
-    free: Bools
+    free: Mask
     followers: tuple[tuple[int, int, float], ...]
 
     def without(self, places: Ints) -> Freedom:
@@ -136,7 +135,7 @@ def inner_parameters(problem: BundleProblem) -> Ints:
     return np.concatenate([places[:, first:].ravel(), boards[:, 1:].ravel()])
 
 
-def freedom(problem: BundleProblem, seen_board: Bools, seen_sphere: Bools) -> Freedom:
+def freedom(problem: BundleProblem, seen_board: Mask, seen_sphere: Mask) -> Freedom:
     """Return what is estimated.
 
     Parameters

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.linear import inverse
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
-
-Floats = NDArray[np.float64]
 
 
 class ResidualType(StrEnum):

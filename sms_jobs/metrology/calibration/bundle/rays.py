@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, undistorted
-
-Floats = NDArray[np.float64]
 
 
 @kernel

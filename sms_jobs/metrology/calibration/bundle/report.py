@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.normal_equations import Block, Live, Observed, Packed
 from sms_jobs.metrology.calibration.bundle.parameters import Freedom, Layout, State, adjusted_sensor
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem, ResidualType
@@ -16,8 +16,6 @@ from sms_jobs.metrology.calibration.bundle.weights import distances
 from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
 from sms_jobs.metrology.geometry.camera import Pose
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Of = Literal["all", "sensor", "pair", "pose"]
 Key = tuple[Of, str, ResidualType]
 
@@ -90,7 +88,7 @@ def rms_tables(
     """Return rms by type for everything, by sensor, pair and pose; `in_mm` (n, 2) of points on spheres."""
     sums: dict[Key, _Sum] = {}
 
-    def add(keys: list[tuple[Of, str]], kind: ResidualType, raw: Floats, white: Floats, used: Bools) -> None:
+    def add(keys: list[tuple[Of, str]], kind: ResidualType, raw: Floats, white: Floats, used: Mask) -> None:
         for key in keys:
             total = sums.setdefault((*key, kind), _Sum())
             total.square += float(np.sum(raw[used] ** 2)) / raw.shape[1]
@@ -157,7 +155,7 @@ def refusals(
     return {reason: count for reason, count in counts.items() if count}
 
 
-Pairs = tuple[tuple[NDArray[np.bool_], ...], tuple[NDArray[np.bool_], ...]]
+Pairs = tuple[tuple[Mask, ...], tuple[Mask, ...]]
 Residuals = tuple[tuple[Floats, ...], tuple[Floats, ...]]
 
 

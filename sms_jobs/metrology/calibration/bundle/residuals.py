@@ -8,8 +8,8 @@ does not depend on which thread computed it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.rays import (
     along_change,
     cross,
@@ -23,8 +23,6 @@ from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted
-
-Floats = NDArray[np.float64]
 
 SPHERE_SIZE = 2 * PER_SENSOR + 4
 """Parameters of a sphere block: the camera's, the projector's, the centre, the radius."""
@@ -163,7 +161,7 @@ def sphere_block(
     pair: tuple[int, int],
     sphere: Floats,
     observed: Floats,
-    live: NDArray[np.bool_],
+    live: Mask,
     scale: Floats,
     huber: float,
     flattest: float,
@@ -300,7 +298,7 @@ def board_block(
     lens: Floats,
     board: Floats,
     observed: Floats,
-    live: NDArray[np.bool_],
+    live: Mask,
     point_sigma: float,
     scale: float,
     huber: float,

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.problem import ResidualType
 from sms_jobs.metrology.calibration.estimates import Estimated, name_of
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -154,7 +150,7 @@ class Adjustment:
     nuisance: tuple[Nuisance, ...]
     names: tuple[str, ...]
     covariance: Floats
-    free: NDArray[np.bool_]
+    free: Mask
     gauge: str
     iterations: int
     cost: float
@@ -162,8 +158,8 @@ class Adjustment:
     variance_factors: dict[ResidualType, float]
     rms: tuple[Rms, ...]
     refused: dict[str, int]
-    used_board: tuple[NDArray[np.bool_], ...]
-    used_bar: tuple[NDArray[np.bool_], ...]
+    used_board: tuple[Mask, ...]
+    used_bar: tuple[Mask, ...]
     residual_board: tuple[Floats, ...]
     residual_bar: tuple[Floats, ...]
     warnings: tuple[str, ...]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.metrology.geometry.lens import LENS
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger]
 
 GROUPS: tuple[tuple[str, tuple[str, ...]], ...] = (

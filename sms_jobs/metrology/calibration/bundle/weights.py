@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from math import erfc, exp, isfinite, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.bundle.normal_equations import Live, Observed, Packed
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _LEAST_SCALE = 1e-3
 """Variance factors stay above it: residuals a thousandth of what is stated are rounding, not noise."""
@@ -68,7 +65,7 @@ def distances(observed: Observed, packed: Packed, scale: Floats) -> tuple[Floats
     return bar, np.hypot(observed.board_found[:, 2], observed.board_found[:, 3]) / of_type
 
 
-def projected(packed: Packed) -> Bools:
+def projected(packed: Packed) -> Mask:
     """Return which board points a projector saw, (m,)."""
     flags = np.zeros(len(packed.board_observed), np.bool_)
     for block in packed.boards:

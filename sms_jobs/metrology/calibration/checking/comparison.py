@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.checking.comparison_points import (
     Through,
     alignment_of,
@@ -25,7 +25,6 @@ from sms_jobs.metrology.calibration.rigid_alignment import rigid_modes
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.transforms import compose, rotation_vector, transform
 
-Floats = NDArray[np.float64]
 Relation: TypeAlias = Literal["independent", "updated", "lenses updated"]
 Verdict: TypeAlias = Literal["unchanged", "harmless", "matters", "cannot tell"]
 

@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.covariance import point_jacobian
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays
 from sms_jobs.metrology.calibration.rigid_alignment import align_points
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project
 from sms_jobs.metrology.geometry.transforms import transform
-
-Floats = NDArray[np.float64]
 
 _ROUNDING_MM = 1e-9  # distance below which points agree
 _REWEIGHTINGS = 30

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, chndtrinc
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.checking.gap_blocks import GapBlocks, block_gaps
 from sms_jobs.metrology.calibration.pair_points import Parameters, meet_rays, moved_sensor
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, project
 
-Floats = NDArray[np.float64]
 Verdict: TypeAlias = Literal["holds", "drifted", "cannot tell"]
 
 _FEWEST_BLOCKS = 12  # five more than the changes that are sought

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.metrology.calibration.sensor_derivatives import gap_derivatives
-
-Floats = NDArray[np.float64]
 
 
 def pixel_size(sensor: Parameters, points: Floats) -> Floats:

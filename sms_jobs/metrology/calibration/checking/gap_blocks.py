@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints
 
 _OUTLIER = 5.0
 _FEWEST_PIXELS = 50
@@ -32,17 +32,17 @@ class GapBlocks:
         Number of valid pixels in the map, and of those that were left out of their block.
     """
 
-    row: NDArray[np.int64]
-    column: NDArray[np.int64]
+    row: Ints
+    column: Ints
     gap: Floats
     sigma: Floats
     point: Floats
-    count: NDArray[np.int64]
+    count: Ints
     valid: int
     outliers: int
 
 
-def _medians(values: Floats, block: NDArray[np.int64], blocks: int) -> Floats:
+def _medians(values: Floats, block: Ints, blocks: int) -> Floats:
     """Return the (upper) median of the values of each block; NaN for an empty one."""
     order = np.lexsort((values, block))
     count = np.bincount(block, minlength=blocks)

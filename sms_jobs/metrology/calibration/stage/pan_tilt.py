@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from math import atan2, cos, degrees, pi, radians, sin, sqrt, tan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
-
-Floats = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Mask
 
 LEAST_SINE = sin(radians(10.0))
 """Of the angle of a pan or tilt pose: below it the axis is five times less sure than at 90 degrees."""
@@ -300,7 +298,7 @@ def label_special_poses(
     return best[2], best[3]
 
 
-def special_poses(angles: Floats, usable: NDArray[np.bool_] | None = None) -> tuple[int, int, int]:
+def special_poses(angles: Floats, usable: Mask | None = None) -> tuple[int, int, int]:
     """Choose the home pose, a pan pose and a tilt pose from a list.
 
     Parameters

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.stage.pan_tilt import Stage, centre_jacobian, predict_centres
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
-
-Floats = NDArray[np.float64]
 
 _PARAMETERS = (
     *(f"the tripod's rotation about {axis}" for axis in "XYZ"),
@@ -52,8 +50,8 @@ class StageFit:
     stage: Stage
     residuals: Floats
     misfit: Floats
-    used: NDArray[np.bool_]
-    refused: dict[str, NDArray[np.bool_]]
+    used: Mask
+    refused: dict[str, Mask]
     rms_mm: float
     reduced_chi_square: float
 
@@ -128,7 +126,7 @@ def _residuals(stage: Stage, angles: Floats, centres: Floats) -> Floats:
     return np.asarray(centres - np.array([predict_centres(stage, pan, tilt) for pan, tilt in angles]))
 
 
-def _misfit(stage: Stage, angles: Floats, centres: Floats, roots: Floats, seen: NDArray[np.bool_]) -> Floats:
+def _misfit(stage: Stage, angles: Floats, centres: Floats, roots: Floats, seen: Mask) -> Floats:
     """Return the lengths of the residuals in standard deviations, (poses, 2)."""
     found = np.full(seen.shape, np.nan)
     standard = roots[seen] @ _residuals(stage, angles, centres)[seen][..., None]
@@ -141,7 +139,7 @@ def _scale(misfit: Floats) -> float:
     return max(1.0, float(np.median(misfit)) / _MEDIAN_OF_THREE)
 
 
-def _weighted_jacobian(stage: Stage, angles: Floats, roots: Floats, used: NDArray[np.bool_]) -> Floats:
+def _weighted_jacobian(stage: Stage, angles: Floats, roots: Floats, used: Mask) -> Floats:
     """Return the derivative of the standardised predictions by the 12 parameters, (3 centres, 12)."""
     jacobian = np.array([centre_jacobian(stage, pan, tilt) for pan, tilt in angles])
     return np.asarray((roots[used] @ jacobian[used]).reshape(-1, 12))
@@ -161,7 +159,7 @@ def _solve(
     angles: Floats,
     centres: Floats,
     roots: Floats,
-    used: NDArray[np.bool_],
+    used: Mask,
     *,
     robust: bool,
 ) -> Stage:
@@ -191,7 +189,7 @@ def _solve(
     return _moved(start, solution.x)
 
 
-def _covariance(stage: Stage, angles: Floats, roots: Floats, used: NDArray[np.bool_]) -> Floats:
+def _covariance(stage: Stage, angles: Floats, roots: Floats, used: Mask) -> Floats:
     """Return the (12, 12) covariance; raise `CalibrationFailed` where a parameter is open."""
     jacobian = _weighted_jacobian(stage, angles, roots, used)
     length = np.linalg.norm(jacobian, axis=0)
@@ -221,7 +219,7 @@ def sphere_regions(
     centres: Floats,
     radius_mm: float,
     margin_mm: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return the pixels of a sensor that may show spheres whose centres are predicted.
 
     Parameters

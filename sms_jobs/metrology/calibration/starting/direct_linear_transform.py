@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import rq
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.starting.homography import flatness, normalising
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-
-Floats = NDArray[np.float64]
 
 _FEWEST = 6
 _PLANE = 1e-2  # spread off the plane over the largest, below which focal length and distance trade

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from sms_jobs.metrology.arrays import Floats, Mask
 
 _FEWEST = 4
 _SAMPLES = 128  # with a quarter of outliers the chance that no sample is clean is 1e-21
@@ -34,7 +31,7 @@ class HomographyFit:
     """
 
     matrix: Floats
-    kept: Bools
+    kept: Mask
     rms_px: float
 
 

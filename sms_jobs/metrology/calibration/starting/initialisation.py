@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.shared_poses import drop_unshared
 from sms_jobs.metrology.calibration.starting.homography import HomographyFit
@@ -22,8 +22,6 @@ from sms_jobs.metrology.calibration.starting.sensor_start import (
 from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian
 from sms_jobs.metrology.geometry.lens import Intrinsics, Model
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
-
-Floats = NDArray[np.float64]
 
 _SWEEPS = 6
 _NEWTON_STEPS = 3

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-
-Floats = NDArray[np.float64]
 
 
 def _constraint(h: Floats, i: int, j: int) -> Floats:

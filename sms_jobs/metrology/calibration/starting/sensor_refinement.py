@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.sensor_derivatives import project_with_derivatives
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import LENS, PER_LENS, Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _MOST_ITERATIONS = 60
 _CONVERGED = 1e-9  # relative change of the cost
@@ -57,7 +54,7 @@ class RefinedSensor:
     intrinsics: Intrinsics
     poses: tuple[Pose, ...]
     lens_sigma: Floats
-    kept: tuple[Bools, ...]
+    kept: tuple[Mask, ...]
     residual: tuple[Floats, ...]
     scale: float
     cost: float
@@ -66,7 +63,7 @@ class RefinedSensor:
 @dataclass
 class _Problem:
     seen: Sequence[SeenPoints]
-    kept: list[Bools]
+    kept: list[Mask]
     basis: Floats  # (parameters, free): lens parameters by free ones
     scale: float
     huber: float
@@ -173,7 +170,7 @@ def _descend(
     return intrinsics, poses, cost
 
 
-def _robust_scale(distances: Sequence[Floats], kept: Sequence[Bools]) -> float:
+def _robust_scale(distances: Sequence[Floats], kept: Sequence[Mask]) -> float:
     """Return the standard deviation that the median distance tells, in stated ones; never nothing."""
     used = np.concatenate([d[k] for d, k in zip(distances, kept, strict=True)])
     return max(float(np.median(used)) / _RAYLEIGH_MEDIAN, 1e-6)
@@ -186,7 +183,7 @@ def refine_sensor(
     *,
     free: Sequence[str],
     square_pixels: bool = False,
-    trusted: Sequence[Bools] | None = None,
+    trusted: Sequence[Mask] | None = None,
     huber: float = 3.0,
     refuse: bool = True,
 ) -> RefinedSensor:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from math import degrees
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.starting.direct_linear_transform import direct_linear_transform
 from sms_jobs.metrology.calibration.starting.homography import HomographyFit, fit_homography
@@ -22,9 +22,6 @@ from sms_jobs.metrology.calibration.starting.sensor_refinement import RefinedSen
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics, Model, distort, kept, undistort
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _FEWEST_POINTS = 6
 _FOCAL_LIMIT = 0.05
@@ -58,7 +55,7 @@ class SensorStart:
     intrinsics: Intrinsics
     lens_sigma: Floats
     poses: dict[str, Pose]
-    kept: dict[str, Bools]
+    kept: dict[str, Mask]
     rms_px: dict[str, float]
     notes: tuple[str, ...]
 

@@ -11,22 +11,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.deformation.cracks.polylines import evened, way_along, ways
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.subsets import RIM
 from sms_jobs.metrology.deformation.matching.verification import Verified
 from sms_jobs.metrology.images.masks import box_of, grown
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
-Labels: TypeAlias = NDArray[np.int32]
 
 _SMOOTHED = 0.35  # standard deviation of the filter of ridges, in subset radii
 _HIGHEST = 1.0  # px, of a ridge: more says no more

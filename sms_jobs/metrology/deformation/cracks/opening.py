@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.deformation.cracks.polylines import evened, way_along, ways
 from sms_jobs.metrology.geometry.transforms import unpack
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _LINKED = 2.0  # subset radii by which points of one crack are apart at most
 _LEAST_LENGTH = 4.0  # of a crack, in subset radii

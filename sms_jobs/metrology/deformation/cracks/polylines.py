@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array, csgraph
 from scipy.spatial import KDTree
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
+from sms_jobs.metrology.arrays import Floats, Ints
 
 
 def ways(place: Floats, reach: float, least: float) -> Iterator[Ints]:

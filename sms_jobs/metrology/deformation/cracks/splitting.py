@@ -6,17 +6,12 @@ The measured shape of the deformed state tells, or, of a camera alone, where the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
 from sms_jobs.metrology.deformation.matching.shape_functions import carried
-
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
-Labels: TypeAlias = NDArray[np.int32]
 
 _LEAST_PART = 0.05  # of a region's matched points that must lie in a piece of it
 _LEAST_POINTS = 6
@@ -97,7 +92,7 @@ def _label_at(labels: Labels, x: Floats, y: Floats) -> Labels:
     return np.where(inside, labels[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)], 0)
 
 
-def cut_out(labels: Labels, disagree: NDArray[np.bool_], least_area: int) -> Labels | None:
+def cut_out(labels: Labels, disagree: Mask, least_area: int) -> Labels | None:
     """Take out of regions what two images disagree on, and part what holds together by it alone.
 
     Parameters
@@ -116,7 +111,7 @@ def cut_out(labels: Labels, disagree: NDArray[np.bool_], least_area: int) -> Lab
     """
     import cv2
 
-    def pieces(of: NDArray[np.bool_]) -> tuple[Labels, Ints]:
+    def pieces(of: Mask) -> tuple[Labels, Ints]:
         _, numbers, table, _ = cv2.connectedComponentsWithStats(of.astype(np.uint8), connectivity=4)
         return np.asarray(numbers, dtype=np.int32), np.asarray(table[:, cv2.CC_STAT_AREA], dtype=np.int64)
 

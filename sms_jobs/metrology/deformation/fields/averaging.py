@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel, uncounted_kernel
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
-Ints: TypeAlias = NDArray[np.int64]
 
 OUTLIER = 5.0
 """Standard deviations beyond which a pixel is no part of the surface around it."""
@@ -147,7 +142,7 @@ def average_in_region(
     raw: Floats,
     covariance: Floats,
     labels: NDArray[np.int32],
-    usable: NDArray[np.bool_],
+    usable: Mask,
     radius: float,
     threads: int = 1,
     independent: Floats | None = None,

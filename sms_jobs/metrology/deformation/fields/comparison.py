@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.rigid_alignment import align_points
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, transform
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _NEIGHBOURS = 10
 _LEAST_SPREAD = 1e-3

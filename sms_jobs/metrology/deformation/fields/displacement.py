@@ -7,20 +7,16 @@ only, and the reference state's point is taken from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
 from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.metrology.images.masks import box_of
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
-Ints: TypeAlias = NDArray[np.int64]
 
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
@@ -49,8 +45,8 @@ class ImagePoints:
         (n, 2), standard deviations of u and v, in px.
     """
 
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
+    x: Ints
+    y: Ints
     region: NDArray[np.int32]
     warp: Floats
     sigma: Floats
@@ -302,7 +298,7 @@ def blend_matches(
     return value, variance
 
 
-def _between_regions(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+def _between_regions(labels: NDArray[np.int32]) -> Mask:
     """Return which pixels are within two of another region: they may see either, whichever has got them."""
     import cv2
 
@@ -319,7 +315,7 @@ def displacement_field(
     bias: Floats,
     reference: StateShape,
     deformed: StateShape,
-    interior: NDArray[np.bool_],
+    interior: Mask,
     averaging_radius: float,
     threads: int = 1,
 ) -> DenseDisplacement:

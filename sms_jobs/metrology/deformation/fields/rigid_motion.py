@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
 from sms_jobs.metrology.geometry.transforms import pack, rotation_vector
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _FEWEST = 100
 _FEWEST_TILES = 5
@@ -45,7 +43,7 @@ class RigidMotion:
     shift: Floats
     covariance: Floats
     rms: float
-    used: NDArray[np.bool_]
+    used: Mask
 
     def displacement(self, position: Floats) -> Floats:
         """Return the displacement (3, ...) that points (3, ...) have by it."""
@@ -63,9 +61,7 @@ class RigidMotion:
         return rigid_modes((points - self.middle) @ self.rotation.T)
 
 
-def rigid_motion(
-    points: Floats, displacement: Floats, variance: Floats, tiles: NDArray[np.int64]
-) -> RigidMotion:
+def rigid_motion(points: Floats, displacement: Floats, variance: Floats, tiles: Ints) -> RigidMotion:
     """Return the rigid motion nearest to a displacement, without what is far off it.
 
     Parameters
@@ -131,7 +127,7 @@ def common_factor(motion: RigidMotion, points: Floats, factor: Floats) -> Floats
     return np.asarray(np.linalg.pinv(rows) @ factor[seen].reshape(-1, factor.shape[2]))
 
 
-def with_motion(packed: NDArray[np.floating] | None, own: Floats) -> NDArray[np.float32]:
+def with_motion(packed: NDArray[np.floating] | None, own: Floats) -> Singles:
     """Return a packed covariance (6, ...) with that of a motion added; that alone where there is none."""
     total = own if packed is None else np.asarray(packed, dtype=np.float64) + own
     return np.asarray(total.astype(np.float32))

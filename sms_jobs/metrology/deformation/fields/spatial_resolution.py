@@ -7,18 +7,15 @@ linear where a wave is small beside a speckle; what it leaves of a wave along th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from sms_jobs.metrology.arrays import Floats, Labels
 from sms_jobs.metrology.deformation.fields.displacement import blending_reach
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.masks import box_of, grown
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
 
 KEPT = 0.9
 """Part of the amplitude that is left at the period that is called the spatial resolution."""

@@ -6,13 +6,13 @@ Points of one view are found in the other by their texture, looked up in both sh
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.calibration.rigid_alignment import align_points, rigid_modes
 from sms_jobs.metrology.deformation.fields.averaging import average_in_region
 from sms_jobs.metrology.deformation.matching.correlation import (
@@ -32,8 +32,6 @@ from sms_jobs.metrology.geometry.transforms import (
     unpack,
 )
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _FEWEST = 12
 _NEIGHBOURS = 24  # pixels of the other view that tell where a point would be seen in it
@@ -130,7 +128,7 @@ class Alignment:
     pose: Pose
     covariance: Floats
     residual: Floats
-    used: NDArray[np.bool_]
+    used: Mask
     scale: float
     rms_mm: float
 
@@ -181,9 +179,7 @@ def common_points(
     )
 
 
-def _expected(
-    here: View, there: View, start: Pose, spacing: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+def _expected(here: View, there: View, start: Pose, spacing: int) -> tuple[Ints, Ints, Floats]:
     """Return the points of a grid that the other view should see, and the warps (n, 6) to expect."""
     rows, columns = here.labels.shape
     y, x = (a.ravel() for a in np.mgrid[spacing // 2 : rows : spacing, spacing // 2 : columns : spacing])
@@ -207,7 +203,7 @@ def _expected(
     return x[near], y[near], guess[near]
 
 
-def _seen_at(view: View, points: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _seen_at(view: View, points: Floats) -> tuple[Floats, Floats, Mask]:
     """Return the pixels (n, 2) where a view sees points, their slopes (n, 2, 3) in px / mm, and if it does.
 
     The slopes along the surface's normal are zero: nothing is known of them, and nothing is needed.
@@ -278,7 +274,7 @@ def align_views(points: CommonPoints, start: Pose) -> Alignment:
     return Alignment(pose, scale**2 * np.linalg.inv(normal), residual, used, scale, rms)
 
 
-def _enough(used: NDArray[np.bool_]) -> None:
+def _enough(used: Mask) -> None:
     count = np.count_nonzero(used)
     if count < _FEWEST:
         raise MeasurementFailed(

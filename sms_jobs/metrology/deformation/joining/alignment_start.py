@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.calibration.rigid_alignment import align_points
 from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.deformation.joining.alignment import View
@@ -16,8 +15,6 @@ from sms_jobs.metrology.deformation.matching.seeding import masked_correlation, 
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import transform
 from sms_jobs.metrology.images.texture_quality import speckle_width
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _HALF_WIDTHS = 8.0  # half the side of a sub-image, in widths of the speckle's autocorrelation
 _LARGEST = 6.0  # halves of the largest sub-image along the shorter side of the image
@@ -76,7 +73,7 @@ def overlapping(here: View, there: View, range_rotation: float = 0.0, threads: i
     )
 
 
-def _agreeing(found: _Found, tolerance: float) -> NDArray[np.int64]:
+def _agreeing(found: _Found, tolerance: float) -> Ints:
     """Return the largest set of places, about, whose distances from each other are the same in both views."""
     if len(found.here) == 0:
         return np.zeros(0, dtype=np.int64)

@@ -9,11 +9,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.fields.comparison import values_at
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import transform
 
-Floats: TypeAlias = NDArray[np.float64]
 Faces: TypeAlias = NDArray[np.int32]
 
 _WITHIN = 1.5  # median edges: a point with nothing of the other view nearer is not in the overlap

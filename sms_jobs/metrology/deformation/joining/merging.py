@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints
 
 _DIAGONAL = (0, 3, 5)  # of a packed symmetric tensor
 _LEAST_VARIANCE = 1e-18  # a picometre: an exact pair would outweigh any other by infinity
@@ -200,7 +199,7 @@ def combine_labels(maps: Sequence[NDArray[np.int32]]) -> NDArray[np.int32]:
 
 def join_meshes(
     meshes: Sequence[tuple[Floats, NDArray[np.int32]]],
-) -> tuple[Floats, NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Floats, NDArray[np.int32], Ints, Ints]:
     """Join the meshes of several cameras, without doubling what an earlier one shows already.
 
     Parameters
@@ -220,7 +219,7 @@ def join_meshes(
     A face is left out when all its corners lie nearer to a vertex of an earlier camera than that camera's
     points lie apart (the median edge), so views overlap by about one pixel along their seams.
     """
-    kept: list[tuple[Floats, NDArray[np.int64], NDArray[np.int64]]] = []
+    kept: list[tuple[Floats, Ints, Ints]] = []
     for vertices, faces in meshes:
         alone = np.ones(len(faces), dtype=bool)
         for points, triangles, _ in kept:

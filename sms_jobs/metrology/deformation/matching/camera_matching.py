@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     LEFT_IMAGE,
@@ -33,8 +34,6 @@ from sms_jobs.metrology.deformation.matching.shape_functions import WARP, carrie
 from sms_jobs.metrology.geometry.camera import Camera, project
 from sms_jobs.metrology.geometry.several_cameras import depths_in_box, points_along_rays
 
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
 Corner: TypeAlias = tuple[float, float, float]
 
 _SURE = 0.6  # correlation from which on a surface that faces the cameras explains a place
@@ -134,7 +133,7 @@ def refuse_misfits(found: Matches) -> None:
         found.ending[matched & (found.misfit > _MISFIT * usual)] = NOT_CONVERGED
 
 
-def _likely(points: NDArray[np.int64], found: FoundSeeds, least_score: float) -> Seeds:
+def _likely(points: Ints, found: FoundSeeds, least_score: float) -> Seeds:
     """Return what was found at points as seeds, where it is good enough and nothing else is about as good."""
     likely = (found.score >= least_score) & found.unique
     return Seeds(points[likely], found.warp[likely])
@@ -151,7 +150,7 @@ def _first_matches(
     reference: TexturedCamera,
     partner: TexturedCamera,
     nodes: Nodes,
-    points: NDArray[np.int64],
+    points: Ints,
     search: RaySearch,
     threads: int,
     *,

@@ -8,11 +8,11 @@ sum of squared differences, f(x) = a g(W(x)) + b, with the gain a and offset b e
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.matching.normal_matrix import invert
 from sms_jobs.metrology.deformation.matching.shape_functions import (
@@ -37,10 +37,6 @@ from sms_jobs.metrology.images.spline import (
     spline_gradient,
     spline_values,
 )
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
-Ints: TypeAlias = NDArray[np.int64]
 
 CONVERGED, TOO_FEW_PIXELS, NO_TEXTURE, LEFT_IMAGE, NOT_CONVERGED, AMBIGUOUS = range(6)
 """How the matching of a point ended."""
@@ -356,8 +352,8 @@ def _match_block(
 
 def match_points(
     images: PreparedImages,
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    x: Ints,
+    y: Ints,
     guess: Floats,
     settings: MatchSettings,
     threads: int = 1,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     LEFT_IMAGE,
@@ -19,16 +18,12 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.deformation.matching.sampling import NEAREST, Nodes
 from sms_jobs.metrology.deformation.matching.shape_functions import carried
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
-Labels: TypeAlias = NDArray[np.int32]
-
 _LEAST_SCATTER = 0.01  # px, of neighbours: what first-order subsets may disagree by on a curved field
 _WITNESSES = 3  # neighbours that must have been matched to judge a point
 _BLOCK = 1 << 15  # points whose neighbours are looked at together, for the memory's sake
 
 
-def _expected(found: Matches, nodes: Nodes, points: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+def _expected(found: Matches, nodes: Nodes, points: Ints) -> tuple[Floats, Mask]:
     """Return what the warps (n, 8, numbers) of the nearest neighbours say at points, NaN for the unmatched.
 
     And which of the points have enough neighbours that say something.
@@ -66,7 +61,7 @@ def check_again(
     found: Matches,
     nodes: Nodes,
     ratio: float,
-    refine: Callable[[Ints, Floats], tuple[Matches, NDArray[np.bool_]]],
+    refine: Callable[[Ints, Floats], tuple[Matches, Mask]],
 ) -> None:
     """Match points again that contradict their neighbours, or were not matched beside some that were.
 

@@ -14,12 +14,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.matching.seeding import block_means
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_warps, points_along_rays
 
-Floats: TypeAlias = NDArray[np.float64]
 Corner: TypeAlias = tuple[float, float, float]
 Width: TypeAlias = Callable[[Floats], Floats]
 """How far off the images of their rays points (n, 3) in mm may be seen, (n,) in px."""
@@ -69,7 +69,7 @@ class FoundSeeds:
             mine[points] = theirs
 
     @property
-    def unique(self) -> NDArray[np.bool_]:
+    def unique(self) -> Mask:
         """(n,): whether no other place is about as good."""
         return np.asarray(self.score > self.runner_up + _UNIQUE)
 
@@ -119,8 +119,8 @@ def _score(
 @kernel
 def _search_block(
     start: int, stop: int, template: Floats, image: Floats, pixels: Floats, places: Floats, slopes: Floats,
-    half: int, widths: NDArray[np.int64],
-    best: Floats, found: NDArray[np.int64], met: Floats, runner_up: Floats,
+    half: int, widths: Ints,
+    best: Floats, found: Ints, met: Floats, runner_up: Floats,
 ) -> None:  # fmt: skip
     """Fill for points start .. stop the best score, beside which place, where, and the best elsewhere."""
     many = places.shape[1]
@@ -206,7 +206,7 @@ def search_along_rays(
     return best_of([search(met, tilt) for tilt in (_TILTS if tilted else (_UPRIGHT,))])
 
 
-def _steps_beside(points: Floats, width: Width) -> NDArray[np.int64]:
+def _steps_beside(points: Floats, width: Width) -> Ints:
     """Return how many steps beside rays' images to look, (n,), by what is known at points (n, m, 3)."""
     wide = width(np.nan_to_num(points).reshape(-1, 3)).reshape(points.shape[:2])
     widest = np.fmax.reduce(np.where(np.isfinite(points[..., 0]), wide, 0.0), axis=1, initial=0.0)
@@ -232,7 +232,7 @@ def _with_tilt(
     middle: Floats,
     tilt: tuple[float, float],
     radius: int,
-    widths: NDArray[np.int64],
+    widths: Ints,
     threads: int,
 ) -> FoundSeeds:
     """Search for pieces of surface that are tilted by a slope against one that faces the cameras."""

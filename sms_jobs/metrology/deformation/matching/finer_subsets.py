@@ -8,17 +8,14 @@ variance by noise and bias together (the trade-off of Blaber et al. 2015, at eac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.matching.verification import Verified
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _FINER = 0.7  # of the radius: subsets of second order that have the noise of a first order of half the radius
 _LEAST_RADIUS = 5  # px: a second order wants some speckles to tell its twelve numbers from

@@ -8,12 +8,12 @@ other does not pulls the peak towards whole pixels. It is there to compare with.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from sms_jobs.metrology.arrays import Complexes, Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
@@ -27,11 +27,6 @@ from sms_jobs.metrology.deformation.matching.correlation import (
     blank_matches,
     least_pixels,
 )
-
-Floats: TypeAlias = NDArray[np.float64]
-Complexes: TypeAlias = NDArray[np.complex128]
-Ints: TypeAlias = NDArray[np.int64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _CUTS = 4  # times that the deformed sub-image is cut anew about the whole pixel nearest to the peak
 _STEPS = 3  # of Newton's method along one axis before the other axis has its turn
@@ -275,8 +270,8 @@ def _slopes(images: PreparedImages) -> tuple[Floats, Floats]:
 
 def match_by_cross_correlation(
     images: PreparedImages,
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    x: Ints,
+    y: Ints,
     guess: Floats,
     settings: MatchSettings,
     threads: int = 1,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.deformation.matching.correlation import (
     AMBIGUOUS,
     CONVERGED,
@@ -31,9 +32,6 @@ from sms_jobs.metrology.deformation.matching.fourier_newton import match_by_cros
 from sms_jobs.metrology.deformation.matching.sampling import NEAREST, Nodes, choose_seeds, sample_nodes
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, repeats_itself, seed_warps
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP, carried
-
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
 
 Method: TypeAlias = Literal["gauss-newton", "fourier-newton"]
 
@@ -97,7 +95,7 @@ class GridSettings:
     method: Method = "gauss-newton"
 
 
-def is_sure(found: Matches, grid: GridSettings) -> NDArray[np.bool_]:
+def is_sure(found: Matches, grid: GridSettings) -> Mask:
     """Return which matches have converged with a score and standard deviations that are accepted."""
     with np.errstate(invalid="ignore"):
         sure = (found.score >= grid.minimum_score) & (found.sigma.max(axis=1) <= grid.maximum_sigma)
@@ -168,7 +166,7 @@ def spread_matches(
     grid: GridSettings,
     threads: int = 1,
     *,
-    may_rest: NDArray[np.bool_] | None = None,
+    may_rest: Mask | None = None,
     known: GridMatches | None = None,
 ) -> GridMatches:
     """Match points whose neighbours are known, from seeds on; parameters as of `match_grid`.
@@ -217,7 +215,7 @@ def spread_matches(
         started_from[pending], fresh = quality, pending
         attempt(pending, carried(found.warp[source], x[pending] - x[source], y[pending] - y[source]))
 
-    def refine(points: Ints, guess: Floats) -> tuple[Matches, NDArray[np.bool_]]:
+    def refine(points: Ints, guess: Floats) -> tuple[Matches, Mask]:
         result = REFINEMENT[grid.method](images, x[points], y[points], guess, settings, threads)
         return result, is_sure(result, grid)
 
@@ -233,7 +231,7 @@ def spread_matches(
     return GridMatches(x, y, found)
 
 
-def _beside(fresh: Ints, around: Ints, unsettled: NDArray[np.bool_]) -> Ints:
+def _beside(fresh: Ints, around: Ints, unsettled: Mask) -> Ints:
     """Return which points that are open (n,) have a neighbour that has just been matched.
 
     No other can have a better start than before.
@@ -243,7 +241,7 @@ def _beside(fresh: Ints, around: Ints, unsettled: NDArray[np.bool_]) -> Ints:
     return np.flatnonzero(beside[:-1] & unsettled)
 
 
-def _best_neighbours(near: Ints, done: NDArray[np.bool_], score: Floats) -> tuple[Ints, Floats]:
+def _best_neighbours(near: Ints, done: Mask, score: Floats) -> tuple[Ints, Floats]:
     """Return which neighbour (m,) of each point is best matched, and its score; -inf where none is.
 
     near is (m, neighbours), with -1 for none; done and score are those of all points.

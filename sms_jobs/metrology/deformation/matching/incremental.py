@@ -8,11 +8,11 @@ put together. Where the reference itself can be matched from that start, the sum
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
     LEFT_IMAGE,
@@ -33,9 +33,6 @@ from sms_jobs.metrology.deformation.matching.grid import (
 from sms_jobs.metrology.deformation.matching.sampling import Nodes
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP, carried
-
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -212,7 +209,7 @@ def match_in_steps(
     return found, steps
 
 
-def _agree(again: Matches, followed: Matches, which: Ints) -> NDArray[np.bool_]:
+def _agree(again: Matches, followed: Matches, which: Ints) -> Mask:
     """Return which direct matches lie within five standard deviations, and half a pixel, of the steps."""
     apart = np.abs(again.warp[:, [0, 3]] - followed.warp[which][:, [0, 3]])
     with np.errstate(invalid="ignore"):

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import kernel
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 @kernel

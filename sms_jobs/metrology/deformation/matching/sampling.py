@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Ints, Labels, Mask, Singles
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.images.masks import distance_inside, of_one_label
-
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
-Labels: TypeAlias = NDArray[np.int32]
 
 NEAREST = 8
 """Neighbours of the first ring, which come first."""
@@ -67,7 +62,7 @@ def sample_grid(labels: Labels, spacing: int) -> tuple[Ints, Ints, Ints]:
     return offset + spacing * columns, offset + spacing * rows, node
 
 
-def _numbered(taken: NDArray[np.bool_]) -> tuple[Ints, Ints, Ints]:
+def _numbered(taken: Mask) -> tuple[Ints, Ints, Ints]:
     """Return the number of each taken place, -1 for the others, and the places' rows and columns."""
     node = np.full(taken.shape, -1, dtype=np.int64)
     rows, columns = np.nonzero(taken)
@@ -75,7 +70,7 @@ def _numbered(taken: NDArray[np.bool_]) -> tuple[Ints, Ints, Ints]:
     return node, rows, columns
 
 
-def depth_in_region(labels: Labels) -> NDArray[np.float32]:
+def depth_in_region(labels: Labels) -> Singles:
     """Return how far each pixel (rows, columns) lies inside its region, in px; the image's border ends it."""
     return distance_inside(np.pad(of_one_label(labels, 3), 1))[1:-1, 1:-1]
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _LEAST_OVERLAP = 0.5  # part of a template's pixels that must meet the searched image
 _NARROW = 48  # px: a range that is searched at once
@@ -50,7 +47,7 @@ class SearchSettings:
 
 def masked_correlation(
     template: NDArray[np.floating], template_mask: Mask, image: NDArray[np.floating], image_mask: Mask
-) -> NDArray[np.float32]:
+) -> Singles:
     """Return the zero-normalised cross-correlation of the masked pixels at every lag.
 
     Parameters
@@ -73,7 +70,7 @@ def masked_correlation(
     """
     import cv2
 
-    def correlate(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    def correlate(a: Singles, b: Singles) -> Singles:
         return np.asarray(cv2.matchTemplate(b, a, cv2.TM_CCORR), dtype=np.float32)
 
     # Means are removed first: in single precision the differences below would lose small contrasts.
@@ -185,8 +182,8 @@ def seed_displacements(
     reference: NDArray[np.generic],
     deformed: NDArray[np.generic],
     labels: NDArray[np.int32],
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    x: Ints,
+    y: Ints,
     settings: SearchSettings,
     threads: int = 1,
 ) -> tuple[Floats, Floats, Floats]:
@@ -235,8 +232,8 @@ def seed_displacements(
 def repeats_itself(
     reference: NDArray[np.generic],
     labels: NDArray[np.int32],
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    x: Ints,
+    y: Ints,
     settings: SearchSettings,
     threads: int = 1,
 ) -> Mask:
@@ -283,8 +280,8 @@ def seed_warps(
     reference: NDArray[np.generic],
     deformed: NDArray[np.generic],
     labels: NDArray[np.int32],
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    x: Ints,
+    y: Ints,
     settings: SearchSettings,
     threads: int = 1,
 ) -> tuple[Floats, Floats]:

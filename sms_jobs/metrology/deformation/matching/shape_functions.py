@@ -13,13 +13,11 @@ from __future__ import annotations
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.compilation import kernel, summing_kernel
 from sms_jobs.metrology.images.spline import PADDING
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.int64]
 ShapeOrder: TypeAlias = Literal[0, 1, 2]
 
 PARAMETERS: Final = (2, 6, 12)

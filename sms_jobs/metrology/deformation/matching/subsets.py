@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Labels
 from sms_jobs.metrology.compilation import inlined, kernel, summing_kernel
 from sms_jobs.metrology.deformation.matching.shape_functions import inside
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
-Ints: TypeAlias = NDArray[np.int64]
 
 _FLAT = 0.01  # determinant below which a subset is seen edge-on: nothing is known of its blur
 RIM = 5  # px at an image's border where reflection bends its spline: the effect falls by 0.43 a pixel

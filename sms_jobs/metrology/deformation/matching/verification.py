@@ -9,11 +9,10 @@ images differ by more than a displacement can mend, they do not show the same th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.matching.correlation import Noise, PreparedImages
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
@@ -25,9 +24,6 @@ from sms_jobs.metrology.images.smoothing import (
     noise_of_pixels,
 )
 from sms_jobs.metrology.images.spline import KERNEL_CODE, PADDING, spline_values
-
-Floats: TypeAlias = NDArray[np.float64]
-Mask: TypeAlias = NDArray[np.bool_]
 
 _WINDOW = 0.3  # radius of the windows, in subset radii: a tenth of a subset's pixels
 _SCALES = (4.0, 1.0, 0.5)  # half the sides of squares over which windows are averaged, in subset radii

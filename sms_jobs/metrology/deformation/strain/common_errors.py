@@ -13,7 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
+
 Factor: TypeAlias = Callable[[Floats], Floats]
 """The factor (n, 3, r) of points (n, 3)."""
 
@@ -43,7 +44,7 @@ class Tangents:
     axes: Floats
     stretched: Floats
 
-    def only(self, some: NDArray[np.bool_]) -> Tangents:
+    def only(self, some: Mask) -> Tangents:
         """Return some of the points (n,)."""
         return Tangents(self.place[some], self.moved[some], self.axes[some], self.stretched[some])
 
@@ -52,7 +53,7 @@ def tangents(
     xyz: Floats,
     displacement: Floats,
     labels: NDArray[np.int32],
-    pixels: tuple[NDArray[np.int64], NDArray[np.int64]],
+    pixels: tuple[Ints, Ints],
     *,
     radius: float,
     reach_px: int,

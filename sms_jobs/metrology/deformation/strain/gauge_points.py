@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.transforms import unpack
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _UNKNOWNS: Final = 6
 _LEAST: Final = 2 * _UNKNOWNS

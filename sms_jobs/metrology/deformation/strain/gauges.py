@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.geometry.transforms import unpack
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _LEAST_PIXELS = 12
 
@@ -56,7 +54,7 @@ class GaugeValue:
     sigma: float
     pixels: int
     middle: Floats
-    under: NDArray[np.bool_]
+    under: Mask
     axes: Floats
     slopes: Floats
 
@@ -134,7 +132,7 @@ def read_gauge(
     )
 
 
-def _missing(valid: NDArray[np.bool_]) -> GaugeValue:
+def _missing(valid: Mask) -> GaugeValue:
     nothing = float("nan")
     nowhere = np.full((2, 3), nothing)
     return GaugeValue(nothing, nothing, 0, nowhere[0], np.zeros_like(valid), nowhere, nowhere)
@@ -172,7 +170,7 @@ class Profile:
     position: Floats
     value: Floats
     scatter: Floats
-    pixels: NDArray[np.int64]
+    pixels: Ints
 
 
 def profile_along(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.transforms import pack, unpack
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _OF_STRAIN = 0.5  # part of a bias that has the shape of a strain over a gauge disc
 

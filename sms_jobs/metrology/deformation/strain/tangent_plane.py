@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.fields.cells import cell_means
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
-
-Floats: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int32]
 
 _DISC_CELLS = 8  # cells to a gauge radius, to the nearest whole side: 110 to 350 in a disc
 
@@ -268,7 +265,7 @@ def _sigma_of(f: Floats, noise: Floats, inverse: tuple[float, float, float]) -> 
 def _strain_rows(
     start: int,
     stop: int,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     full_xyz: Floats,
     full_labels: Labels,
     side: int,

@@ -8,11 +8,11 @@ first return where that is significant.
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase.ranging import batched_fit, reference_fit
 from sms_jobs.metrology.phase.ranging.batched_fit import (
@@ -41,9 +41,6 @@ from sms_jobs.metrology.phase.ranging.plan import (
 from sms_jobs.metrology.phase.ranging.row import Row
 from sms_jobs.metrology.phase.ranging.transform import LANES, Peaks, find_peaks, new_peaks, wrapped
 
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
-
 # The status of a pixel: how many returns it has, or one of these.
 NONE, ONE, TWO = 0, 1, 2
 UNRESOLVED = -1
@@ -59,9 +56,9 @@ class Scratch(NamedTuple):
     """What batch after batch uses: peaks, registers and pairs of the fits, and which pixels matter."""
 
     peaks: Peaks
-    registers: Single
-    pairs: Single
-    active: NDArray[np.bool_]
+    registers: Singles
+    pairs: Singles
+    active: Mask
 
 
 class Batch(NamedTuple):
@@ -83,14 +80,14 @@ class Batch(NamedTuple):
         Of z, (LANES,).
     """
 
-    x: Single
-    y: Single
+    x: Singles
+    y: Singles
     single: Floats
     pair: Floats
-    column: NDArray[np.int64]
-    status: NDArray[np.int64]
-    significant: NDArray[np.bool_]
-    close: NDArray[np.bool_]
+    column: Ints
+    status: Ints
+    significant: Mask
+    close: Mask
     variance: Floats
 
 

@@ -21,17 +21,13 @@ takes, and S and D are the same for every step.
 from __future__ import annotations
 
 from math import pi
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import inlined, summing_kernel
 from sms_jobs.metrology.phase.ranging.transform import LANES
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 GROUP = 8  # densities that are summed together; longer loops are not unrolled
 
@@ -108,7 +104,7 @@ def _half_turn(angle: float) -> tuple[float, float]:
 
 
 @summing_kernel
-def start_rotors(first: int, estimate: Floats, registers: Single) -> None:
+def start_rotors(first: int, estimate: Floats, registers: Singles) -> None:
     """Set exp(i omega t) to the first density, and what turns it; set the sums to 0."""
     for j in range(LANES):
         c, s = _half_turn(0.5 * estimate[OMEGA + j])
@@ -136,7 +132,7 @@ def turn_by_group(estimate: Floats) -> None:
 
 
 @summing_kernel
-def write_pairs(x: Single, y: Single, u: Single, pairs: Single) -> None:
+def write_pairs(x: Singles, y: Singles, u: Singles, pairs: Singles) -> None:
     """Write sums and differences of u z for densities that lie alike about the middle of their group.
 
     All are flat but `u`, the weight of every density; `pairs` has room for 2 (densities, LANES).
@@ -157,7 +153,7 @@ def write_pairs(x: Single, y: Single, u: Single, pairs: Single) -> None:
 
 
 @summing_kernel
-def _start_pairs(first: int, estimate: Floats, registers: Single) -> None:
+def _start_pairs(first: int, estimate: Floats, registers: Singles) -> None:
     """Set exp(i omega t) to the middle of the first group, and exp(i omega k) of its pairs; sums to 0."""
     for j in range(LANES):
         c, s = _half_turn(0.5 * estimate[OMEGA + j])
@@ -178,7 +174,7 @@ def _start_pairs(first: int, estimate: Floats, registers: Single) -> None:
 
 
 @summing_kernel
-def _project(pairs: Single, groups: int, first: int, estimate: Floats, registers: Single) -> None:
+def _project(pairs: Singles, groups: int, first: int, estimate: Floats, registers: Singles) -> None:
     """Sum Re u z exp(-i omega t) and Im u t z exp(-i omega t) from the pairs of `write_pairs`."""
     for group in range(groups):
         middle = np.float32(first + group * GROUP + 0.5 * (GROUP - 1))
@@ -201,7 +197,7 @@ def _project(pairs: Single, groups: int, first: int, estimate: Floats, registers
 
 
 @summing_kernel
-def _subtract(x: Single, y: Single, weights: Weights, estimate: Floats, registers: Single) -> None:
+def _subtract(x: Singles, y: Singles, weights: Weights, estimate: Floats, registers: Singles) -> None:
     """Take a return out of signals, which are flat; sum squares and fall of what is left."""
     transfer, precision, u = weights.transfer, weights.precision, weights.u
     for t in range(0, x.size // LANES, GROUP):
@@ -227,7 +223,7 @@ def _subtract(x: Single, y: Single, weights: Weights, estimate: Floats, register
 
 
 @summing_kernel
-def _move_one(sums: Sums, s: float, estimate: Floats, registers: Single) -> float:
+def _move_one(sums: Sums, s: float, estimate: Floats, registers: Singles) -> float:
     """Turn the sums into amplitude and step of omega, half a bin at most; return the largest step times s."""
     per_v, per_s, lever = 1.0 / sums.v, 1.0 / s, s / sums.vtt
     for j in range(LANES):
@@ -247,15 +243,15 @@ def _move_one(sums: Sums, s: float, estimate: Floats, registers: Single) -> floa
 
 @summing_kernel
 def fit_one(
-    x: Single,
-    y: Single,
+    x: Singles,
+    y: Singles,
     count: int,
     first: int,
     weights: Weights,
     sums: Sums,
     estimate: Floats,
-    registers: Single,
-    pairs: Single,
+    registers: Singles,
+    pairs: Singles,
 ) -> None:
     """Fit one return to every pixel of a batch.
 
@@ -310,7 +306,7 @@ def _look_up(overlaps: Floats, pair: Floats) -> None:
 
 
 @summing_kernel
-def _move_two(sums: Sums, s: float, pair: Floats, registers: Single) -> None:
+def _move_two(sums: Sums, s: float, pair: Floats, registers: Singles) -> None:
     """Solve the normal equations for a step of both returns, omega by half a bin at most, and go there."""
     v, vtt, per_s = sums.v, sums.vtt, 1.0 / s
     for j in range(LANES):
@@ -363,19 +359,19 @@ def is_done(step_times_s: float, gain: float, variance: float) -> bool:
 
 @summing_kernel
 def fit_two(
-    x: Single,
-    y: Single,
+    x: Singles,
+    y: Singles,
     count: int,
     first: int,
     weights: Weights,
     sums: Sums,
     overlaps: Floats,
     steps: int,
-    active: NDArray[np.bool_],
+    active: Mask,
     variance: Floats,
     pair: Floats,
-    registers: Single,
-    pairs: Single,
+    registers: Singles,
+    pairs: Singles,
 ) -> None:
     """Fit two returns to every pixel of a batch, until the active ones do not move.
 

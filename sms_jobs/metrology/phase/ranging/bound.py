@@ -5,11 +5,9 @@ from __future__ import annotations
 from math import pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
-
-Floats = NDArray[np.float64]
 
 
 def omega_bounds(

@@ -9,11 +9,12 @@ a grid.
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import kernel, summing_kernel
 from sms_jobs.metrology.phase.ranging.batched_fit import (
     AMPLITUDE,
@@ -29,9 +30,6 @@ from sms_jobs.metrology.phase.ranging.batched_fit import (
 )
 from sms_jobs.metrology.phase.ranging.transform import LANES, Peaks
 
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
-
 _NODES = 11
 _APART = 0.3  # bins between nodes: they reach 1.5 bins to either side
 
@@ -44,8 +42,8 @@ class Grid(NamedTuple):
     """
 
     places: Floats
-    turns: Single
-    shares: Single
+    turns: Singles
+    shares: Singles
 
 
 def grid(densities: Floats, v: Floats, padded: int) -> Grid:
@@ -63,7 +61,7 @@ def grid(densities: Floats, v: Floats, padded: int) -> Grid:
 
 @summing_kernel
 def _turn_back(
-    x: Single, y: Single, u: Single, estimate: Floats, registers: Single, re: Single, im: Single
+    x: Singles, y: Singles, u: Singles, estimate: Floats, registers: Singles, re: Singles, im: Singles
 ) -> None:
     """Write u z exp(-i omega t); all but `u` and the last three are flat."""
     for t in range(0, x.size // LANES, GROUP):
@@ -79,7 +77,7 @@ def _turn_back(
 
 
 @summing_kernel
-def _sum_turned(part: Single, rows: int, turns: Single, out: Single) -> None:
+def _sum_turned(part: Singles, rows: int, turns: Singles, out: Singles) -> None:
     """Write the sum over the rows of a flat part, each times its turn."""
     for j in range(LANES):
         out[j] = 0.0
@@ -93,7 +91,7 @@ def _sum_turned(part: Single, rows: int, turns: Single, out: Single) -> None:
 
 @summing_kernel
 def _keep_better(
-    values: Single, i: int, k: int, even: float, odd: float, best: Single, which: NDArray[np.int32]
+    values: Singles, i: int, k: int, even: float, odd: float, best: Singles, which: NDArray[np.int32]
 ) -> None:
     """Keep the pair of places i, k where its returns, both of positive amplitude, explain more."""
     p, q, code = np.float32(even), np.float32(odd), np.int32(i * _NODES + k)
@@ -108,15 +106,15 @@ def _keep_better(
 
 @kernel
 def start_close(
-    x: Single,
-    y: Single,
+    x: Singles,
+    y: Singles,
     first: int,
-    u: Single,
+    u: Singles,
     grid: Grid,
-    close: NDArray[np.bool_],
+    close: Mask,
     single: Floats,
     pair: Floats,
-    registers: Single,
+    registers: Singles,
     scratch: Peaks,
 ) -> None:
     """Start the `pair` of pixels that are `close` at the two places near their `single` that explain most.

@@ -7,19 +7,16 @@ fringes: a false return of its own, or a part of a true one where the two coinci
 from __future__ import annotations
 
 from math import ceil, cos, log, pi, sin
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase.ranging.reference_fit import AMPLITUDE, OMEGA
 from sms_jobs.metrology.phase.ranging.row import Row
 from sms_jobs.metrology.phase.ranging.signal import Sequence, uniform_steps
 from sms_jobs.metrology.phase.response import Response
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 _GRID = 32  # points a bin, between which the error of a ghost is interpolated
 _LEFT = 1e-3  # of a ghost, once it is taken out
@@ -39,8 +36,8 @@ class Ghosts(NamedTuple):
     """
 
     orders: Floats
-    forward: Single
-    backward: Single
+    forward: Singles
+    backward: Singles
     rounds: int
 
 
@@ -75,7 +72,7 @@ def ghosts_of(response: Response, sequence: Sequence, steps: int) -> Ghosts:
 
 
 def ghost_error(
-    omega: Floats, amplitude: Single, response: Response, densities: tuple[float, ...], steps: int
+    omega: Floats, amplitude: Singles, response: Response, densities: tuple[float, ...], steps: int
 ) -> Floats:
     """Return by how much ghosts that are not taken out move returns, in rad, at most.
 
@@ -112,7 +109,7 @@ def ghost_error(
 
 
 @kernel
-def take_out_ghosts(ghosts: Ghosts, first: int, recorded: Single, row: Row) -> None:
+def take_out_ghosts(ghosts: Ghosts, first: int, recorded: Singles, row: Row) -> None:
     """Write to the signal of a row what was recorded less the ghosts of its returns.
 
     `recorded` is (2, densities, columns), `first` t of the first density; densities that are left out stay 0.

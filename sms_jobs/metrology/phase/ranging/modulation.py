@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.signal import ranging_sequence, read_signal
-
-Floats = NDArray[np.float64]
 
 _LEAST_SCORE = 5.0  # B over noise of the pixels that are used
 

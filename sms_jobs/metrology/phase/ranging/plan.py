@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Singles
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase.ranging.close_start import Grid
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 CLOSE_BINS = 1.6  # of 2 pi / s: the peaks of two returns nearer than this are no start for a fit of both
 
@@ -47,8 +44,8 @@ class Plan(NamedTuple):
     variance: float
     slope: float
     unit: float
-    turns: Single
-    order: NDArray[np.int64]
+    turns: Singles
+    order: Ints
     weights: Weights
     sums: Sums
     overlaps: Floats

@@ -17,16 +17,13 @@ over t are in single precision, of products that do not cancel; small systems ar
 from __future__ import annotations
 
 from math import cos, sin
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import inlined, summing_kernel
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 # Columns of estimates, (returns, 4): omega, amplitude, variance of omega for unit noise, variance inside.
 OMEGA, AMPLITUDE, VARIANCE, SPREAD = range(4)
@@ -58,8 +55,8 @@ class Fit(NamedTuple):
         The best estimates so far, (n, 4).
     """
 
-    rotors: Single
-    residual: Single
+    rotors: Singles
+    residual: Singles
     normal: Floats
     factor: Floats
     slope: Floats
@@ -82,7 +79,7 @@ def new_fit(returns: int, padded: int) -> Fit:
 
 
 @inlined
-def _write_rotors(omega: float, first: int, rotors: Single) -> None:
+def _write_rotors(omega: float, first: int, rotors: Singles) -> None:
     """Write cos and sin of omega t, t = first, first + 1, ..: what is there, turned, is next."""
     c, s = cos(omega), sin(omega)
     rotors[0, 0] = 1.0 if first == 0 else c
@@ -98,7 +95,7 @@ def _write_rotors(omega: float, first: int, rotors: Single) -> None:
 
 
 @inlined
-def _in_phase(z: Single, weights: Single, rotors: Single) -> float:
+def _in_phase(z: Singles, weights: Singles, rotors: Singles) -> float:
     """Return Re sum w z exp(-i omega t)."""
     total = np.float32(0.0)
     for t in range(z.shape[1]):
@@ -107,7 +104,7 @@ def _in_phase(z: Single, weights: Single, rotors: Single) -> float:
 
 
 @inlined
-def _in_quadrature(z: Single, weights: Single, rotors: Single) -> float:
+def _in_quadrature(z: Singles, weights: Singles, rotors: Singles) -> float:
     """Return Im sum w z exp(-i omega t)."""
     total = np.float32(0.0)
     for t in range(z.shape[1]):
@@ -116,7 +113,7 @@ def _in_quadrature(z: Single, weights: Single, rotors: Single) -> float:
 
 
 @inlined
-def _overlap(a: Single, b: Single, v: Single) -> tuple[float, float, float]:
+def _overlap(a: Singles, b: Singles, v: Singles) -> tuple[float, float, float]:
     """Return C, S and K of two returns from their rotors."""
     over, shift, curve = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for t in range(v.shape[1]):
@@ -129,7 +126,7 @@ def _overlap(a: Single, b: Single, v: Single) -> tuple[float, float, float]:
 
 
 @summing_kernel
-def power(z: Single, precision: Single) -> float:
+def power(z: Singles, precision: Singles) -> float:
     """Return sum w |z|^2."""
     total = np.float32(0.0)
     for t in range(z.shape[1]):
@@ -138,7 +135,7 @@ def power(z: Single, precision: Single) -> float:
 
 
 @inlined
-def _subtract(z: Single, transfer: Single, estimates: Floats, fit: Fit) -> None:
+def _subtract(z: Singles, transfer: Singles, estimates: Floats, fit: Fit) -> None:
     """Write what returns, whose rotors are written, leave of a signal."""
     residual, rotors = fit.residual, fit.rotors
     for part in range(2):
@@ -152,7 +149,7 @@ def _subtract(z: Single, transfer: Single, estimates: Floats, fit: Fit) -> None:
 
 
 @summing_kernel
-def subtract(z: Single, transfer: Single, first: int, estimates: Floats, fit: Fit) -> None:
+def subtract(z: Singles, transfer: Singles, first: int, estimates: Floats, fit: Fit) -> None:
     """Write rotors of returns, and what these leave of a signal, to the buffers of a fit."""
     for i in range(estimates.shape[0]):
         _write_rotors(estimates[i, OMEGA], first, fit.rotors[i])
@@ -197,7 +194,7 @@ def _solve(factor: Floats, n: int, right: Floats) -> None:
 
 
 @inlined
-def _evaluate(z: Single, weights: Weights, sums: Sums, first: int, estimates: Floats, fit: Fit) -> float:
+def _evaluate(z: Singles, weights: Weights, sums: Sums, first: int, estimates: Floats, fit: Fit) -> float:
     """Solve for the amplitudes at omega and set up the equations of a step, their right-hand side in `step`.
 
     Returns the weighted sum of squares of the residual, infinite where two returns are one.
@@ -270,7 +267,7 @@ def copy_estimates(source: Floats, target: Floats, n: int) -> None:
 
 @summing_kernel
 def fit_returns(
-    z: Single, weights: Weights, sums: Sums, first: int, variance: float, estimates: Floats, fit: Fit
+    z: Singles, weights: Weights, sums: Sums, first: int, variance: float, estimates: Floats, fit: Fit
 ) -> float:
     """Fit returns to the signal of one pixel by damped Gauss-Newton.
 

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase.ranging.plan import Plan, freedom
 from sms_jobs.metrology.phase.ranging.reference_fit import AMPLITUDE, COLUMNS, OMEGA, SPREAD, VARIANCE
 from sms_jobs.metrology.phase.ranging.transform import wrapped
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 
 class Maps(NamedTuple):
     """The fields of `Returns`, which see, in its order, as they are filled row by row."""
 
     omega: Floats
-    omega_sigma: Single
-    amplitude: Single
-    width: Single
+    omega_sigma: Singles
+    amplitude: Singles
+    width: Singles
     returns: NDArray[np.uint8]
-    residual: Single
-    mean_intensity: Single
-    modulation: Single
-    saturated: NDArray[np.bool_]
+    residual: Singles
+    mean_intensity: Singles
+    modulation: Singles
+    saturated: Mask
 
 
 class Row(NamedTuple):
@@ -53,14 +51,14 @@ class Row(NamedTuple):
         (columns,): False where there may be more of them.
     """
 
-    signal: Single
+    signal: Singles
     lost: NDArray[np.uint8]
-    levels: Single
+    levels: Singles
     variance: Floats
     estimates: Floats
-    returns: NDArray[np.int64]
+    returns: Ints
     squares: Floats
-    resolved: NDArray[np.bool_]
+    resolved: Mask
 
 
 def new_maps(returns: int, rows: int, columns: int) -> Maps:

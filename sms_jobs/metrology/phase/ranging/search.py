@@ -7,11 +7,11 @@ that gains. Peaks are searched for in `LANES` pixels at a time; the fits are tho
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import inlined, kernel
 from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS, Plan, freedom, may_hold_another
 from sms_jobs.metrology.phase.ranging.reference_fit import (
@@ -30,16 +30,13 @@ from sms_jobs.metrology.phase.ranging.row import Row
 from sms_jobs.metrology.phase.ranging.transform import LANES, Peaks, find_peaks, new_peaks, wrapped
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights, leave_out, new_weights, sums_of
 
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
-
 _SPLIT_BINS = 0.3  # to either side
 
 
 class Pixel(NamedTuple):
     """One pixel for the fit: its signal (2, padded), weights with their sums, its noise, its freedom."""
 
-    z: Single
+    z: Singles
     weights: Weights
     sums: Sums
     variance: float
@@ -65,13 +62,13 @@ class Buffers(NamedTuple):
         Estimates of a fit, (returns, 4).
     """
 
-    x: Single
-    y: Single
+    x: Singles
+    y: Singles
     peaks: Peaks
-    z: Single
+    z: Singles
     kept: Weights
-    column: NDArray[np.int64]
-    searched: NDArray[np.bool_]
+    column: Ints
+    searched: Mask
     first_gain: Floats
     start: Floats
     best: Floats
@@ -195,7 +192,7 @@ def _add_return(plan: Plan, pixel: Pixel, row: Row, j: int, count: int, buffers:
 
 
 @inlined
-def _leave(residual: Single, j: int, buffers: Buffers) -> None:
+def _leave(residual: Singles, j: int, buffers: Buffers) -> None:
     """Put what is left of a pixel into its lane."""
     for t in range(buffers.x.shape[0]):
         buffers.x[t, j] = residual[0, t]

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase.phase_stepping import stepping_weights
 
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 Window = Literal["none", "hann", "hamming"]
 
 PADDING = 16  # densities; vector instructions work on whole groups
@@ -129,7 +128,7 @@ def window_weights(window: Window, sequence: Sequence, *, known_origin: bool) ->
 
 @kernel
 def _add_pair(
-    frames: NDArray[Any], row: int, a: int, b: int, wa: float, wb: float, signal: Single, i: int
+    frames: NDArray[Any], row: int, a: int, b: int, wa: float, wb: float, signal: Singles, i: int
 ) -> None:
     """Add two frames, with their weights, to row i of a part of the signal."""
     p, q = np.float32(wa), np.float32(wb)
@@ -139,7 +138,7 @@ def _add_pair(
 
 @kernel
 def _add_frames(
-    frames: NDArray[Any], row: int, start: int, stop: int, table: Floats, x: Single, y: Single, i: int
+    frames: NDArray[Any], row: int, start: int, stop: int, table: Floats, x: Singles, y: Singles, i: int
 ) -> None:
     """Make the signal of a density of any number of frames."""
     x[i] = 0.0
@@ -153,14 +152,14 @@ def _add_frames(
 
 
 @kernel
-def _add_power(x: Single, y: Single, i: int, levels: Single) -> None:
+def _add_power(x: Singles, y: Singles, i: int, levels: Singles) -> None:
     for j in range(x.shape[1]):
         levels[1, j] += x[i, j] * x[i, j] + y[i, j] * y[i, j]
 
 
 @kernel
 def _add_levels(
-    frames: NDArray[Any], row: int, start: int, stop: int, levels: Single, highest: NDArray[Any]
+    frames: NDArray[Any], row: int, start: int, stop: int, levels: Singles, highest: NDArray[Any]
 ) -> None:
     """Add the frames of one density to the sum of all, and keep the highest level of them."""
     highest[:] = 0
@@ -173,7 +172,7 @@ def _add_levels(
 
 @kernel
 def _add_four(
-    frames: NDArray[Any], row: int, a: int, table: Floats, x: Single, y: Single, i: int, levels: Single
+    frames: NDArray[Any], row: int, a: int, table: Floats, x: Singles, y: Singles, i: int, levels: Singles
 ) -> None:
     """Make the signal of a density of four frames, and add its levels and its power, in one go."""
     c0, c1 = np.float32(table[a, 1]), np.float32(table[a + 1, 1])
@@ -204,8 +203,8 @@ def _highest_of_four(frames: NDArray[Any], row: int, a: int, highest: NDArray[An
 def _finish_density(
     highest: NDArray[Any],
     full_scale: int,
-    x: Single,
-    y: Single,
+    x: Singles,
+    y: Singles,
     i: int,
     lost: NDArray[np.uint8],
 ) -> None:
@@ -228,10 +227,10 @@ def read_signal(
     row: int,
     table: Floats,
     full_scale: int,
-    x: Single,
-    y: Single,
+    x: Singles,
+    y: Singles,
     lost: NDArray[np.uint8],
-    levels: Single,
+    levels: Singles,
 ) -> None:
     """Turn one row of all frames, (frames, rows, columns), into its signal.
 

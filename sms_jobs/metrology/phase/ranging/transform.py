@@ -7,15 +7,13 @@ transform is a vector instruction over pixels.
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Ints, Singles
 from sms_jobs.metrology.compilation import summing_kernel
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 LANES = 64
 
@@ -33,8 +31,8 @@ class Peaks(NamedTuple):
         (LANES,): where the peak is between the samples, in -pi .. pi, and how high.
     """
 
-    spectrum: Single
-    highest: Single
+    spectrum: Singles
+    highest: Singles
     place: NDArray[np.int32]
     omega: Floats
     height: Floats
@@ -57,13 +55,13 @@ def transform_length(count: int) -> int:
     return 1 << (count - 1).bit_length()
 
 
-def twiddles(length: int) -> Single:
+def twiddles(length: int) -> Singles:
     """Return cos and sin of pi k / N, (2, 2 N)."""
     angles = pi * np.arange(2 * length) / length
     return np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
 
 
-def bit_reversal(length: int) -> NDArray[np.int64]:
+def bit_reversal(length: int) -> Ints:
     """Return where each input of the transform goes, (N,)."""
     bits = length.bit_length() - 1
     return np.array([int(f"{i:0{bits}b}"[::-1], 2) if bits else 0 for i in range(length)])
@@ -76,7 +74,7 @@ def wrapped(angle: float) -> float:
 
 
 @summing_kernel
-def _butterflies(re: Single, im: Single) -> None:
+def _butterflies(re: Singles, im: Singles) -> None:
     """Transform neighbouring rows: what a number of stages that is odd begins with."""
     for a in range(0, re.shape[0], 2):
         for j in range(LANES):
@@ -88,7 +86,7 @@ def _butterflies(re: Single, im: Single) -> None:
 
 
 @summing_kernel
-def _transform(re: Single, im: Single, turns: Single) -> None:
+def _transform(re: Singles, im: Singles, turns: Singles) -> None:
     """Transform (N, LANES) in place from bit-reversed order: H_k = sum z_m exp(-2 pi i k m / N).
 
     Two stages at a time, so that every row is read and written half as often. Rows are named by their number,
@@ -128,7 +126,7 @@ def _transform(re: Single, im: Single, turns: Single) -> None:
 
 
 @summing_kernel
-def _combine(x: Single, y: Single, m: int, wx: float, wy: float, out: Single, i: int) -> None:
+def _combine(x: Singles, y: Singles, m: int, wx: float, wy: float, out: Singles, i: int) -> None:
     """Add wx x_m + wy y_m to a row."""
     p, q = np.float32(wx), np.float32(wy)
     for j in range(LANES):
@@ -137,16 +135,16 @@ def _combine(x: Single, y: Single, m: int, wx: float, wy: float, out: Single, i:
 
 @summing_kernel
 def _combine_two(
-    x: Single,
-    y: Single,
+    x: Singles,
+    y: Singles,
     m: int,
     k: int,
     wm: float,
     wk: float,
     c: float,
     s: float,
-    re: Single,
-    im: Single,
+    re: Singles,
+    im: Singles,
     i: int,
     o: int,
 ) -> None:
@@ -182,7 +180,7 @@ def _keep_highest(values: NDArray[np.int32], interleave: int, offset: int, best:
 
 
 @summing_kernel
-def _take_places(n: int, best: NDArray[np.int32], values: Single, where: NDArray[np.int32]) -> None:
+def _take_places(n: int, best: NDArray[np.int32], values: Singles, where: NDArray[np.int32]) -> None:
     """Split what `_keep_highest` kept into value and place."""
     bits = values.view(np.int32)
     for j in range(LANES):
@@ -212,7 +210,13 @@ def _interpolate(peaks: Peaks) -> None:
 
 @summing_kernel
 def find_peaks(
-    x: Single, y: Single, weights: Single, first: int, turns: Single, order: NDArray[np.int64], peaks: Peaks
+    x: Singles,
+    y: Singles,
+    weights: Singles,
+    first: int,
+    turns: Singles,
+    order: Ints,
+    peaks: Peaks,
 ) -> None:
     """Find the highest Re H(k), k = 0 .. 2N-1, of every pixel, H(k) = sum w_t z_t exp(-i pi k t / N).
 

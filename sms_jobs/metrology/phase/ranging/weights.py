@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import kernel
-
-Floats: TypeAlias = NDArray[np.float64]
-Single: TypeAlias = NDArray[np.float32]
 
 
 class Weights(NamedTuple):
@@ -29,11 +27,11 @@ class Weights(NamedTuple):
         w g^2 t^k, (3, padded): how returns overlap.
     """
 
-    transfer: Single
-    precision: Single
-    search: Single
-    u: Single
-    v: Single
+    transfer: Singles
+    precision: Singles
+    search: Singles
+    u: Singles
+    v: Singles
 
 
 class Sums(NamedTuple):
