@@ -246,7 +246,7 @@ def _draw_points(record: Any, values: NDArray[Any], title: str, unit: str, width
     return as_png(figure)
 
 
-def _components(record: Any, name: str, quantity: Quantity, count: int) -> tuple[str, ...]:
+def _components(record: Any, quantity: Quantity, count: int) -> tuple[str, ...]:
     if quantity.axes[0] == "value":
         return tuple(record.value_names)
     return quantity.components or tuple(str(i) for i in range(count))
@@ -267,7 +267,7 @@ def _chosen(record: Any, name: str, quantity: Quantity, component: str | None) -
         if component is not None:
             raise InvalidInput(f"{name} has no components, so there is no '{component}'; leave it out")
         return values, "", quantity.unit
-    names = _components(record, name, quantity, values.shape[0])
+    names = _components(record, quantity, values.shape[0])
     chosen = _default_component(name, quantity, names) if component is None else component
     if chosen == MAGNITUDE and quantity.axes[0] == "component":
         return np.sqrt(np.sum(np.asarray(values, np.float64) ** 2, axis=0)), MAGNITUDE, quantity.unit

@@ -107,11 +107,6 @@ def kept(spool: Path) -> dict[str, Finished]:
     }
 
 
-def is_finished(spool: Path, view: str) -> bool:
-    """Say whether a whole set of a view is in the spool."""
-    return view in kept(spool)
-
-
 def forget(spool: Path, view: str) -> None:
     """Have a set recorded again; its frames stay, as those of one that broke off."""
     _marker(spool, view).unlink()

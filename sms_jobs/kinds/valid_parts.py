@@ -50,9 +50,3 @@ def losses(reason: NDArray[np.uint32]) -> dict[str, float]:
     counted = reason[lit] if lit.mean() > _LIT else reason.ravel()
     parts = {one: float(np.mean((counted & np.uint32(one)) != 0)) for one in Reason if one}
     return {lost_to(one): part for one, part in parts.items() if part}
-
-
-def textured(reason: NDArray[np.uint32]) -> Mask:
-    """Return the pixels of a camera alone that lie in its region and are not plain, (rows, columns)."""
-    plain = np.uint32(Reason.NO_TEXTURE | Reason.OUTSIDE_REGION)
-    return np.asarray((reason & plain) == 0)

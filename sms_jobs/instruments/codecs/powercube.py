@@ -242,12 +242,6 @@ def move(mode: Move, value: float) -> bytes:
     return struct.pack("<BBf", Command.MOVE, mode, value)
 
 
-def move_step(position_rad: float, milliseconds: int, *, extended: bool = True) -> bytes:
-    """Return the data of a move to a position in a given time."""
-    mode = Move.STEP_EXTENDED if extended else Move.STEP
-    return struct.pack("<BBfH", Command.MOVE, mode, position_rad, milliseconds)
-
-
 def float_value(data: bytes) -> float | None:
     """Return the number of the reply to a question; None when it has none."""
     return float(struct.unpack_from("<f", data, 2)[0]) if len(data) == 6 else None

@@ -135,13 +135,7 @@ class PowerCubes:
 
     def move_ramp(self, module: int, position_rad: float) -> float:
         """Begin to move to a position with the profile that is set; return where the module is, in rad."""
-        return self._move(module, m5.move(Move.RAMP_EXTENDED, position_rad), position_rad)
-
-    def move_step(self, module: int, position_rad: float, seconds: float) -> float:
-        """Begin to move so as to arrive after a time; return where the module is, in rad."""
-        return self._move(module, m5.move_step(position_rad, round(1000.0 * seconds)), position_rad)
-
-    def _move(self, module: int, data: bytes, position_rad: float) -> float:
+        data = m5.move(Move.RAMP_EXTENDED, position_rad)
         reply = self._ask(module, data, f"a move to {position_rad:.4f} rad")
         acknowledgement = m5.acknowledgement(reply.data)
         if acknowledgement is None:

@@ -166,7 +166,7 @@ def apply(
     undone = [
         Repair("unknown", result.path, "nothing", result.detail, "run 'sms archive repair' again")
         for result in reindexing.reindex(catalogue, archive, to_index, checker=checker)
-        if result.outcome not in ("indexed", "incomplete")
+        if not result.entered
     ]
     for one in repairs:
         if one.step in ("set-aside", "forget"):
@@ -176,8 +176,10 @@ def apply(
                 file = session.scalar(select(FileRow.id).where(FileRow.path == one.path))
                 retention.forget(session, [] if file is None else [file])
         if one.step == "seal-again":
-            again = _decide_again if layout.is_decision(one.path) else _seal_again
-            again(catalogue, archive, one.path, now)
+            if layout.is_decision(one.path):
+                _decide_again(catalogue, archive, one.path)
+            else:
+                _seal_again(catalogue, archive, one.path, now)
     return undone
 
 
@@ -205,7 +207,7 @@ def _decision(session: Session, path: str) -> AcceptanceRow | None:
     )
 
 
-def _decide_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime) -> None:
+def _decide_again(catalogue: Catalogue, archive: Archive, path: str) -> None:
     with catalogue.reading() as session:
         row = _decision(session, path)
         assert row is not None

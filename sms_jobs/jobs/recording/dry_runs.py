@@ -77,7 +77,7 @@ def dry_run(
         _free(spool),
         archive.room().free_bytes,
         tuple(missing),
-        (*_remarks(rig, campaign, states), *_adapted(parameters)),
+        (*_remarks(rig, states), *_adapted(parameters)),
         _mixed(rig, campaign, _UNPACKED) or 1.0,
     )
     needed = ("spool", spool_bytes, done.spool_room), ("archive", done.archived_bytes, done.archive_room)
@@ -125,7 +125,7 @@ def _adapted(parameters: AcquireParameters) -> Iterator[str]:
         yield "the exposures are chosen at the rig, and those of the plan are counted: up to 8 may come of it"
 
 
-def _remarks(rig: RigFile, campaign: Campaign, states: Sequence[LoadState]) -> tuple[str, ...]:
+def _remarks(rig: RigFile, states: Sequence[LoadState]) -> tuple[str, ...]:
     """Tell which values of the plan no channel will confirm."""
     measured = {c.name for c in rig.serial.channels}
     planned = {"load_n" for s in states if s.load_n is not None} | {n for s in states for n in s.channels}

@@ -23,7 +23,6 @@ _MEDIA = ("application/json", "text/csv", PNG)
 
 Form = Annotated[Literal["json", "csv", "png"], Query(alias="format")]
 Millimetres = Annotated[float, Query(ge=0, le=1e6, allow_inf_nan=False)]
-Scale = Annotated[float, Query(ge=1e-9, le=1e9, allow_inf_nan=False)]
 Coordinate = Annotated[float, Query(ge=-1e9, le=1e9, allow_inf_nan=False)]
 Length = Annotated[float, Query(ge=1e-3, le=1e6, allow_inf_nan=False)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 import time
 from collections.abc import Callable, Sequence
 
@@ -40,13 +41,17 @@ PROMPTED = LineProtocol(
 )
 
 
+STEP_IN_1500_MS = struct.pack("<BBfH", m5.Command.MOVE, m5.Move.STEP_EXTENDED, -1.0, 1500)
+"""A move that no stage makes; of its published frame a byte of the data is stuffed."""
+
+
 @pytest.mark.parametrize(
     ("module", "data", "frame"),
     [
         (12, m5.get(m5.Parameter.POSITION), "02 05 82 0a 3c cd 03"),
         (8, m5.get(m5.Parameter.POSITION), "02 05 10 82 0a 3c 4d 03"),
         (11, m5.move(m5.Move.RAMP, 0.5), "02 05 66 0b 04 00 00 00 3f b9 03"),
-        (12, m5.move_step(-1.0, 1500), "02 05 88 0b 10 90 00 00 80 bf dc 05 ca 03"),
+        (12, STEP_IN_1500_MS, "02 05 88 0b 10 90 00 00 80 bf dc 05 ca 03"),
         (12, bytes((m5.Command.HALT,)), "02 05 81 10 82 88 03"),
         (11, bytes((m5.Command.HOME,)), "02 05 61 01 67 03"),
     ],

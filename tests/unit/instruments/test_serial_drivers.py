@@ -78,10 +78,11 @@ def test_homing_moving_and_waiting() -> None:
     with pytest.raises(DeviceFault, match="it was not homed: home it first"):
         modules.move_ramp(11, 0.5)
     home(modules, clock)
-    modules.set_profile(11, 0.5, 1.0)
+    for module in (11, 12):
+        modules.set_profile(module, 0.5, 1.0)
     began = clock.monotonic()
     modules.move_ramp(11, 1.0)
-    modules.move_step(12, -0.5, 1.5)
+    modules.move_ramp(12, -0.5)
     assert State.MOTION in modules.state(11)
     wait(modules, clock)
     # A distance d at velocity v and acceleration a takes d / v + v / a = 2.5 s; polling adds 0.05 s.

@@ -18,7 +18,7 @@ from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.kept_sets import forget, interrupted, is_finished, kept, recorded
+from sms_jobs.instruments.kept_sets import forget, interrupted, kept, recorded
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, SoftwareTrigger
 from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
@@ -183,7 +183,7 @@ def test_images_of_two_moments_are_never_taken_for_one_state(
         with pytest.raises(Down):
             record(rig_of(scene()), tmp_path)
     assert replaced == ["C1.json"]  # and the machine went down before C2's
-    assert not is_finished(tmp_path, "C1")
+    assert "C1" not in kept(tmp_path)
     found = record(rig_of(scene()), tmp_path)
     assert all(one.recordings == 1 for one in found.values())
     for view in PAIR:

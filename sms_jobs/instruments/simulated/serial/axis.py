@@ -116,7 +116,7 @@ class SimulatedAxis:
     _failure: str = ""
     _hunts_rad: float = 0.0
 
-    def move(self, target_rad: float, now: float, velocity_rad_s: float | None = None) -> bool:
+    def move(self, target_rad: float, now: float) -> bool:
         """Begin a move; return False, and stay, where the target is out of range or an error stands."""
         self.advance(now)
         if self.tow_error or self._blocked(target_rad, now):
@@ -132,8 +132,7 @@ class SimulatedAxis:
                 end, failure = 0.5 * (start + target_rad), fault.fault
             elif fault.fault == "hunting-servo":
                 self._hunts_rad = fault.amount or radians(0.1)
-        velocity = velocity_rad_s or self.velocity_rad_s
-        self._ramps = [Ramp(now, start, end, velocity, self.acceleration_rad_s2)]
+        self._ramps = [Ramp(now, start, end, self.velocity_rad_s, self.acceleration_rad_s2)]
         self._failure, self._fails_at = failure, self._ramps[-1].ends if failure else None
         return True
 

@@ -31,7 +31,7 @@ class _Module:
         self.axis = axis
         self.halted = False
         self.configuration = 0
-        self.waiting: tuple[float, float | None] | None = None
+        self.waiting: float | None = None
         self._kept = {
             Parameter.MAXIMUM_TOW: _MAXIMUM_TOW_RAD,
             Parameter.MAXIMUM_VELOCITY: axis.velocity_rad_s,
@@ -83,26 +83,20 @@ class _Module:
             self.axis.stop(now)
             self.halted, self.waiting = True, None
         elif command == Command.START and self.waiting is not None:
-            target, velocity = self.waiting
-            self.waiting = None
-            self.axis.move(target, now, velocity)
+            target, self.waiting = self.waiting, None
+            self.axis.move(target, now)
 
     def _move(self, data: bytes, now: float) -> bytes | None:
         mode = data[1]
         (target,) = struct.unpack_from("<f", data, 2)
-        velocity = None
-        if mode in (Move.STEP, Move.STEP_EXTENDED) and len(data) == 8:
-            (milliseconds,) = struct.unpack_from("<H", data, 6)
-            distance = abs(target - self.axis.position(now))
-            velocity = max(distance / max(milliseconds / 1000.0, 1e-3), 1e-6)
-        elif mode not in (Move.RAMP, Move.RAMP_EXTENDED):
+        if mode not in (Move.RAMP, Move.RAMP_EXTENDED):
             return None
         accepted = self.axis.homed and not self.halted and not self.state(now) & State.ERROR
         if accepted and self.configuration & m5.SYNCHRONISED:
-            self.waiting = (target, velocity)
+            self.waiting = target
         elif accepted:
-            accepted = self.axis.move(target, now, velocity)
-        if mode in (Move.RAMP, Move.STEP):
+            accepted = self.axis.move(target, now)
+        if mode == Move.RAMP:
             return data[:2] + bytes((m5.ACCEPTED,))
         short = self.short_state(now, accepted=accepted)
         return data[:2] + struct.pack("<fBB", self.axis.position(now), short, 0)

@@ -283,7 +283,7 @@ def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit:
     lengths = nuisances(problem, fit.state, fit.freedom, covariance)
     in_mm = object_residuals(packed, fit.state)
     rms = rms_tables(problem, packed, fit.normal.observed, in_mm, fit.live)
-    warnings += points.warnings + prior_warnings(problem, lengths)
+    warnings += points.warnings + prior_warnings(lengths)
     warnings += pose_warnings(problem, packed, fit.live, rms)
     used, residuals = per_item(problem, packed, fit.normal.observed, in_mm, fit.live)
     return Adjustment(

@@ -308,7 +308,7 @@ def _flatness(problem: BundleProblem) -> str:
     return f" (all spheres lie within {extent[2]:.2g} mm rms of one plane)"
 
 
-def prior_warnings(problem: BundleProblem, nuisance: tuple[Nuisance, ...]) -> tuple[str, ...]:
+def prior_warnings(nuisance: tuple[Nuisance, ...]) -> tuple[str, ...]:
     """Warn of certified lengths that the observations contradict."""
     loud = [n for n in nuisance if abs(n.z) > _MOST_Z]
     found = []

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.calibration.bundle.linear import inverse
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
 
@@ -199,32 +198,6 @@ class SensorPrior:
     """
 
     information: Floats
-
-    @classmethod
-    def from_covariance(cls, covariance: Floats) -> SensorPrior:
-        """Return the prior that an earlier adjustment leaves.
-
-        Parameters
-        ----------
-        covariance
-            (p, p) of all parameters of all sensors. Those with a variance of 0 were fixed: nothing is said
-            of them, so fix them again.
-
-        Raises
-        ------
-        InvalidInput
-            When it is not positive definite.
-        """
-        known = np.flatnonzero(np.diag(covariance) > 0.0)
-        found = inverse(covariance[np.ix_(known, known)])
-        if found is None:
-            raise InvalidInput(
-                "the covariance of the prior calibration is not positive definite: give that of an "
-                "adjustment, and fix parameters that follow others"
-            )
-        information = np.zeros_like(covariance)
-        information[np.ix_(known, known)] = found
-        return cls(information)
 
 
 @dataclass(frozen=True)
