@@ -84,12 +84,6 @@ def bowed(board: Board, bow_mm: Vector) -> tuple[Deformation, ...]:
     return (Bow(*bow_mm, (x, y), half_x, half_y),)
 
 
-def board_normal(board: Board) -> Floats:
-    """Return the unit vector, in the board's frame, that points from its front towards who looks at it."""
-    axes = axes_of(board)
-    return np.array([0.0, 0.0, -axes.x_right * axes.y_down])
-
-
 def edges_mm(board: Board) -> tuple[float, float, float, float]:
     """Return left, right, bottom and top edge from the origin, in mm to the right and upwards.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from math import pi, radians
 from typing import TypeAlias
 
@@ -21,9 +21,7 @@ from sms_jobs.virtual_rig.campaigns import (
     BENDING_PROJECTOR,
     BENDING_VOLUME,
     START,
-    Lens,
     Size,
-    aimed,
     bending_rig,
 )
 
@@ -52,18 +50,6 @@ BOARD_POSES: tuple[BoardPose, ...] = (
     (6.0, (-7.0, -10.0), (-15.0, -10.0, -60.0)),
     (180.0, (13.0, -8.0), (0.0, 0.0, 110.0)),
 )
-SITE_POSES: tuple[BoardPose, ...] = (
-    *BOARD_POSES,
-    (5.0, (-12.0, 6.0), (15.0, 10.0, -130.0)),
-    (-6.0, (11.0, -7.0), (-25.0, -15.0, -30.0)),
-    (92.0, (-17.0, 3.0), (10.0, -10.0, 30.0)),
-    (-90.0, (5.0, -10.0), (-15.0, 10.0, -90.0)),
-    (8.0, (15.0, 8.0), (15.0, -15.0, 60.0)),
-    (-9.0, (-9.0, 9.0), (0.0, 15.0, -20.0)),
-    (182.0, (8.0, -3.0), (10.0, -15.0, -110.0)),
-    (6.0, (-14.0, -9.0), (-15.0, 0.0, 100.0)),
-    (-4.0, (18.0, 0.0), (0.0, -15.0, 20.0)),
-)
 TABLE_ANGLES_DEG = tuple(
     (pan, tilt)
     for number, tilt in enumerate((-45.0, -22.5, 0.0, 22.5, 45.0))
@@ -73,16 +59,6 @@ TABLE_ANGLES_DEG = tuple(
 
 TRIPOD_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """The tripod's axes in the world, as columns: x, the pan axis, up; z, the bar at home, along X."""
-
-SMALL_BOARD = CircleBoard(
-    *(7, 7, 30.0, 18.0, ((1, 1), (5, 1), (1, 5)), "ring", 24.0, 12.0),
-    pitch_relative_sigma=1e-3,
-    flatness_mm=0.05,
-)
-SMALL_BAR = BallBar(190.0, 0.005, 22.0, 0.002, stalk_mm=30.0, slide_mm=6.0)
-SMALL_ANGLES_DEG = (
-    (0.0, 0.0), (40.0, 0.0), (0.0, 40.0), (-40.0, -35.0), (35.0, -40.0), (-35.0, 35.0)
-)  # fmt: skip
 
 
 def calibration_session(name: str, size: Size, rig: Rig | None = None) -> Campaign:
@@ -100,44 +76,12 @@ def calibration_session(name: str, size: Size, rig: Rig | None = None) -> Campai
     rig
         As it truly stands; by default that of `bending_rig`.
     """
-    tripod = _tripod_at((-5.0, -35.0, 0.0), (0.03, -0.02, 0.015))
+    tripod = tripod_at((-5.0, -35.0, 0.0), (0.03, -0.02, 0.015))
     states = [
-        *_board_states(BOARD, BOARD_POSES),
-        *_bar_states(TABLE_ANGLES_DEG, tripod),
+        *board_states(BOARD, BOARD_POSES),
+        *bar_states(TABLE_ANGLES_DEG, tripod),
     ]
-    return _session(name, rig or bending_rig(size), states, (BOARD, BAR), BENDING_VOLUME)
-
-
-def on_site_session(name: str, size: Size, rig: Rig | None = None) -> Campaign:
-    """Return a recalibration of the rig of `top_hat_bending` from 15 board poses, an hour before campaigns.
-
-    States B01 .. B15; it starts from the last calibration. Parameters as in `calibration_session`.
-    """
-    states = _board_states(BOARD, SITE_POSES)
-    begin = START - timedelta(hours=1)
-    return _session(
-        name, rig or bending_rig(size), states, (BOARD, None), BENDING_VOLUME, begin, on_site=True
-    )
-
-
-def small_session(name: str) -> Campaign:
-    """Return a session that is recorded in seconds: one camera of 256 px, two projectors, 3 + 6 poses."""
-    sensors = (
-        aimed("C1", 256, 256, Lens(3.85, -0.08, 0.12, 2e-4, -3e-4), (-200.0, 80.0, 1230.0), 0.02),
-        aimed("P1", 512, 384, Lens(3.0, -0.05, 0.1, 1e-4, 2e-4), (450.0, -100.0, 1150.0)),
-        aimed("P2", 512, 384, Lens(3.0, -0.04, 0.1, -1e-4, 1e-4), (-750.0, 150.0, 1000.0)),
-    )
-    poses: tuple[BoardPose, ...] = (
-        (0.0, (0.0, 0.0), (0.0, 0.0, 0.0)),
-        (10.0, (20.0, -8.0), (10.0, -8.0, -50.0)),
-        (85.0, (-15.0, 15.0), (-8.0, 10.0, 45.0)),
-    )
-    states = [
-        *_board_states(SMALL_BOARD, poses),
-        *_bar_states(SMALL_ANGLES_DEG, _tripod_at((-3.0, -20.0, 0.0), (0.02, 0.03, -0.01))),
-    ]
-    volume = Box((-130.0, -130.0, -130.0), (130.0, 130.0, 130.0))
-    return _session(name, Rig("small-session-rig", sensors), states, (SMALL_BOARD, SMALL_BAR), volume)
+    return session_of(name, rig or bending_rig(size), states, (BOARD, BAR), BENDING_VOLUME)
 
 
 def facing_rig(board: CircleBoard) -> Rigid:
@@ -150,7 +94,7 @@ def facing_rig(board: CircleBoard) -> Rigid:
     return Rigid((pi, 0.0, 0.0), (-float(x), float(y), 0.0))
 
 
-def _tripod_at(origin_mm: Vector, lean_rad: Vector) -> Rigid:
+def tripod_at(origin_mm: Vector, lean_rad: Vector) -> Rigid:
     """Return what brings the tripod's frame into the world, leaning a little."""
     return _rigid(Rotation.from_rotvec(lean_rad) * Rotation.from_matrix(TRIPOD_AXES), origin_mm)
 
@@ -160,7 +104,8 @@ def _rigid(rotation: Rotation, translation_mm: Vector) -> Rigid:
     return Rigid((float(x), float(y), float(z)), translation_mm)
 
 
-def _board_states(board: CircleBoard, poses: Iterable[BoardPose]) -> list[LoadState]:
+def board_states(board: CircleBoard, poses: Iterable[BoardPose]) -> list[LoadState]:
+    """Return states B01, B02, ... of a board in some poses."""
     states = []
     for number, (turn, (tilt_x, tilt_y), shift) in enumerate(poses, start=1):
         turned = Rotation.from_rotvec([tilt_x, tilt_y, 0.0], degrees=True) * Rotation.from_rotvec(
@@ -171,7 +116,8 @@ def _board_states(board: CircleBoard, poses: Iterable[BoardPose]) -> list[LoadSt
     return states
 
 
-def _bar_states(angles_deg: Iterable[tuple[float, float]], tripod: Rigid) -> list[LoadState]:
+def bar_states(angles_deg: Iterable[tuple[float, float]], tripod: Rigid) -> list[LoadState]:
+    """Return states S01, S02, ... of a bar on a tripod at some angles of pan and tilt."""
     states = []
     for number, (pan, tilt) in enumerate(angles_deg, start=1):
         stage = PanTilt(radians(pan), radians(tilt))
@@ -182,31 +128,25 @@ def _bar_states(angles_deg: Iterable[tuple[float, float]], tripod: Rigid) -> lis
     return states
 
 
-def _session(
-    name: str,
-    rig: Rig,
-    states: list[LoadState],
-    artefacts: tuple[CircleBoard, BallBar | None],
-    volume: Box,
-    begin: datetime = BEGIN,
-    on_site: bool = False,
+def session_of(
+    name: str, rig: Rig, states: list[LoadState], artefacts: tuple[CircleBoard, BallBar], volume: Box
 ) -> Campaign:
+    """Return a session of a board and a bar, whose poses are recorded one after the other from `BEGIN` on."""
     board, bar = artefacts
-    timed = tuple(replace(s, time=begin + number * POSE_TIME) for number, s in enumerate(states))
+    timed = tuple(replace(s, time=BEGIN + number * POSE_TIME) for number, s in enumerate(states))
     scene = Scene(
         rig,
         board,
         camera=CameraResponse(exposure=EXPOSURE),
         projector=BENDING_PROJECTOR,
         # Noise of its own: states of tests and of other sessions have the same labels, and the seed 0.
-        seed=2 if on_site else 1,
+        seed=1,
     )
     session = CalibrationSession(
-        {"board": board} if bar is None else {"board": board, "bar": bar},
+        {"board": board, "bar": bar},
         tuple(SensorFormat(s.name, s.columns, s.rows) for s in rig.sensors),
         volume,
         facing_rig(board),
-        "last-calibration" if on_site else "nothing",
     )
     specimen = Specimen("calibration artefacts", description="board of dots with three rings; ball bar")
     return Campaign(name, specimen, rig.name, timed, rig.views(), FringeSequence(), scene, session=session)

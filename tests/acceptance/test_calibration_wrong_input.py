@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from support.command import inside
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.sessions import small_session
 
 USAGE, NOT_FOUND = 2, 3
 

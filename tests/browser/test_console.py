@@ -17,12 +17,12 @@ from support.calibration_sessions import SessionInMemory
 from support.command import SMS, kill_all, service
 from support.homes import make_home, stored
 from support.serving import free_port, serving
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.people import Role
-from sms_jobs.virtual_rig.sessions import small_session
 from sms_jobs.web.console import PAGE_RULES, subjects
 
 PASSWORD = "correct horse battery"

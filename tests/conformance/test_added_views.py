@@ -12,6 +12,7 @@ from sqlalchemy import select
 from support.archives import Clock, rebuilt, registered, run_jobs, work_again
 from support.command import inside
 from support.deployments import Deployment
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaigns as app_campaigns
@@ -29,7 +30,6 @@ from sms_jobs.kinds.kind import deformed_tuples, tuples
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.sessions import small_session
 
 KINDS = ("simulate", "reconstruct", "correlate", "strain", "merge", "assess", "report")
 

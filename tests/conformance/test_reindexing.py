@@ -11,6 +11,7 @@ from support.archives import PLAN, Clock, emptied, everything, registered, run_j
 from support.command import inside
 from support.deployments import Deployment
 from support.sealing import calibration, provenance
+from support.sessions import small_session
 
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import campaigns
@@ -25,7 +26,6 @@ from sms_jobs.jobs.rebuilding.reindexing import Reindexed
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.sessions import small_session
 
 REQUESTS = [Request("simulate"), Request("pipeline")]
 

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 from support.command import answer, service, sms
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.jobs.archiving.registration import register_calibration, register_campaign
 from sms_jobs.records.campaign import Specimen
 from sms_jobs.records.sensors import Calibration
-from sms_jobs.virtual_rig.sessions import BEGIN, small_session
+from sms_jobs.virtual_rig.sessions import BEGIN
 
 USAGE, NOT_FOUND, CONFLICT, FINDINGS = 2, 3, 4, 6
 CERTIFICATES = (

@@ -27,9 +27,10 @@ from sms_jobs.records.sensors import Calibration, Rig
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 from sms_jobs.testing.in_memory import InMemory, unheard
-from sms_jobs.virtual_rig.artefact_truth import placed_points, true_board
+from sms_jobs.virtual_rig.artefact_truth import placed_points
 from sms_jobs.virtual_rig.artefacts import bar_centres
-from sms_jobs.virtual_rig.sessions import small_session
+from support.sessions import small_session
+from support.true_boards import true_board
 
 Floats = NDArray[np.float64]
 

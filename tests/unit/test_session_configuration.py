@@ -7,6 +7,7 @@ from math import pi, radians
 
 import numpy as np
 import pytest
+from support.true_boards import true_board
 
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.formats.configuration import (
@@ -21,7 +22,7 @@ from sms_jobs.records.scene import PanTilt, Rigid, Simulation
 from sms_jobs.records.sensors import SensorFormat
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
-from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar, true_board
+from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar
 
 REAL = """
 name = "calibration-7"

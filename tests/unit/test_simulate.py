@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.sessions import small_session
 
 from sms_jobs.archive import Archive, MemoryStore
 from sms_jobs.archive.provenance import Provenance
@@ -17,7 +18,6 @@ from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Simulation, Speckle
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.sessions import small_session
 
 CAMPAIGN = small_plate("plate")[1]
 

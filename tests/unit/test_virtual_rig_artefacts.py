@@ -8,6 +8,7 @@ from math import pi, radians
 import numpy as np
 import pytest
 from scipy import ndimage
+from support.true_boards import board_normal, true_board
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import pixel_grid, project, ray_directions
@@ -25,8 +26,8 @@ from sms_jobs.records.scene import (
     Surface,
 )
 from sms_jobs.records.sensors import Rig
-from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar, true_board
-from sms_jobs.virtual_rig.artefacts import axes_of, bar_centres, board_normal, board_points
+from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar
+from sms_jobs.virtual_rig.artefacts import axes_of, bar_centres, board_points
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, aimed
 from sms_jobs.virtual_rig.ink import BRIGHT, DARK, disc_share, edge_share
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace

@@ -7,6 +7,7 @@ from math import pi
 
 import numpy as np
 import pytest
+from support.sessions import small_session
 
 from sms_jobs.kinds.recording.simulate import scene_at
 from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
@@ -27,7 +28,6 @@ from sms_jobs.records.sensors import Rig, Sensor
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, Lens, aimed
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
 from sms_jobs.virtual_rig.rendering import SimulatedFrames, _cosine_and_sine, render
-from sms_jobs.virtual_rig.sessions import small_session
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance, speckle_of_cell
 from sms_jobs.virtual_rig.truth import exact_shape
 

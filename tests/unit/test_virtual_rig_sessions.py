@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.sessions import on_site_session, small_session
+from support.true_boards import TrueBoard, true_board
 
 from sms_jobs.kinds.recording.simulate import recipe
 from sms_jobs.records.artefacts import BallBar, CircleBoard
@@ -11,11 +13,11 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.scene import PanTilt, Simulation
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
-from sms_jobs.virtual_rig.artefact_truth import TrueBoard, placed_points, true_bar, true_board
+from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar
 from sms_jobs.virtual_rig.artefacts import bar_centres
 from sms_jobs.virtual_rig.campaigns import START, top_hat_bending
 from sms_jobs.virtual_rig.rendering import render
-from sms_jobs.virtual_rig.sessions import calibration_session, on_site_session, small_session
+from sms_jobs.virtual_rig.sessions import calibration_session
 
 FULL = calibration_session("calibration", "small")
 SITE = on_site_session("on-site", "small")

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -17,7 +18,6 @@ from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.sessions import small_session
 
 # Ports that no computer has: whoever asked the instruments would fail.
 RIG = """

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 from pydantic import ValidationError
+from support.sessions import small_session
 
 from sms_jobs.kinds.recording.acquire import AcquireParameters, order
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate
-from sms_jobs.virtual_rig.sessions import small_session
 from sms_jobs.virtual_rig.stereo_campaigns import stereo_campaign
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.calibration_sessions import SessionInMemory, observed_session, point_errors
+from support.sessions import SMALL_BOARD, small_session
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.calibration import calibrate
@@ -25,7 +26,6 @@ from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import PanTilt, Rigid
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefacts import board_points
-from sms_jobs.virtual_rig.sessions import SMALL_BOARD, small_session
 
 QUICK = {"folds": 2, "figure_width_px": 400}
 _OF_POINTS = ("place", "point", "camera_px", "camera_sigma_px", "projector_px", "projector_sigma_px")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.calibration_sessions import SessionInMemory, observed_session, recorded_session, simulation
+from support.sessions import SMALL_BAR
 
 from sms_jobs.kinds.calibration import observe_bar
 from sms_jobs.kinds.calibration.sessions import (
@@ -25,7 +26,6 @@ from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.observations import BarObservation
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.artefact_truth import true_bar
-from sms_jobs.virtual_rig.sessions import SMALL_BAR
 
 Floats = NDArray[np.float64]
 ORDINARY = Subject("session", "S05", "C1P2")

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.calibration_sessions import SessionInMemory, recorded_session, simulation
+from support.sessions import SMALL_BOARD
+from support.true_boards import true_board
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration import observe_board
@@ -17,8 +19,6 @@ from sms_jobs.records.measurement import ArrayStack, Measurement
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import SensorFormat
 from sms_jobs.records.subject import Subject
-from sms_jobs.virtual_rig.artefact_truth import true_board
-from sms_jobs.virtual_rig.sessions import SMALL_BOARD
 
 SUBJECT = Subject("session", "B02", "C1P2")
 

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support.calibration_sessions import SessionInMemory, observed_session, point_errors, recorded_session
+from support.sessions import on_site_session, small_session
 
 from sms_jobs.errors import OtherFormat
 from sms_jobs.jobs.archiving.calibrations import KnownCalibration, compared, drift_of
@@ -30,7 +31,7 @@ from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.sensors import Box, Rig, Sensor
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import bending_rig
-from sms_jobs.virtual_rig.sessions import calibration_session, on_site_session, small_session
+from sms_jobs.virtual_rig.sessions import calibration_session
 
 Floats = NDArray[np.float64]
 QUICK = {"folds": 2, "figure_width_px": 400}

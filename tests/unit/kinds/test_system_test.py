@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from support.sessions import small_session
 
 from sms_jobs.app.calibrating.system_tests import BarCertificate, PlateCertificate, _of_bar, _of_plate
 from sms_jobs.kinds.calibration import system_test
@@ -18,7 +19,7 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.system_test import SystemTest
 from sms_jobs.testing.shelf import Shelf
-from sms_jobs.virtual_rig.sessions import BEGIN, small_session
+from sms_jobs.virtual_rig.sessions import BEGIN
 
 BAR = BarCertificate(150.0, 0.005, 22.0, 0.002, 0.001)
 PLATE = PlateCertificate(120.0, 100.0, 0.001)
