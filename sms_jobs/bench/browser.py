@@ -5,7 +5,6 @@ Tests drive it too; where there is none, they and the benchmarks say so.
 
 from __future__ import annotations
 
-import base64
 import fcntl
 import json
 import os
@@ -13,11 +12,9 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import psutil
 
@@ -107,7 +104,7 @@ class Browser:
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
-    def __enter__(self) -> Browser:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -123,11 +120,6 @@ class Browser:
             self._process.kill()
             self._process.wait()
         os.close(self._from)
-
-    @staticmethod
-    def decoded(address: str) -> bytes:
-        """Return what a data address holds."""
-        return base64.b64decode(address.partition(",")[2])
 
     def cpu_seconds(self) -> float:
         """Return the CPU time of all processes of the browser, in s."""
@@ -161,23 +153,6 @@ class Browser:
         )
         self.press(x, y)
 
-    def leave_by(self, selector: str) -> None:
-        """Press something that leads to another page, and wait until that is loaded."""
-        with self.leaving():
-            self.click(selector)
-
-    @contextmanager
-    def leaving(self) -> Iterator[None]:
-        """Wait until another page is loaded, which something done meanwhile leads to."""
-        self._happened.clear()
-        yield
-        self._until("Page.loadEventFired")
-
-    def write(self, selector: str, text: str) -> None:
-        """Write into a field."""
-        self.run(f"document.querySelector({json.dumps(selector)}).focus()")
-        self.call("Input.insertText", text=text)
-
     def run(self, script: str) -> Any:
         """Return what an expression is worth; of a promise, what it was kept with."""
         answer = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
@@ -194,34 +169,10 @@ class Browser:
             f"{json.dumps(condition)}); else setTimeout(look, 20); }}; look(); }})"
         )
 
-    def point(self, x: float, y: float) -> None:
-        """Move the mouse to a place of the window, in CSS pixels."""
-        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
-
     def press(self, x: float, y: float) -> None:
         """Click at a place of the window."""
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
-
-    def key(self, key: str, text: str = "") -> None:
-        """Press a key."""
-        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key, text=text)
-        self.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key)
-
-    def screen(self, width: int, height: int, mobile: bool = False) -> None:
-        """Give the window a size."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=mobile,
-        )
-
-    def print(self) -> bytes:
-        """Return the page as PDF."""
-        answer = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)
-        return base64.b64decode(answer["data"])
 
     def _call(self, method: str, session: str | None = None, **parameters: Any) -> Any:
         self._number += 1

@@ -14,7 +14,6 @@ from sms_jobs.bench.correlated.star import star
 from sms_jobs.bench.correlated.truth_pairs import READ_NOISE, SIZE_PX, TruthPair, pairs
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.studies.resolution import judge
-from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation import cracks, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.records.cracks import CrackOpenings
@@ -74,7 +73,7 @@ class JudgedCrack:
 
 def warm_up() -> None:
     """Compile what a pair goes through."""
-    _judged_crack((0.0, 0.0), _matched(next(pairs(0))(), 1))
+    judged_crack((0.0, 0.0), matched(next(pairs(0))(), 1))
 
 
 def measure(run: Run) -> Iterator[Found]:
@@ -85,10 +84,10 @@ def measure(run: Run) -> Iterator[Found]:
     for make in pairs(seed, quick=run.quick):
         pair = make()
         run.say(f"matching {pair.name}")
-        shelf = _matched(pair, run.threads)
-        of_group[pair.group].append(_judged(pair, shelf))
+        shelf = matched(pair, run.threads)
+        of_group[pair.group].append(judged(pair, shelf))
         if pair.slip is not None:
-            cracked.append(_judged_crack(pair.slip, shelf))
+            cracked.append(judged_crack(pair.slip, shelf))
     every = [one for some in of_group.values() for one in some]
     yield Figure("silent_per_million", _per_million(every), "1", 10.0, "at most")
     for group, some in of_group.items():
@@ -145,24 +144,8 @@ def _rms(parts: list[NDArray[np.float64]]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def judged(pair: TruthPair, threads: int) -> Judged:
-    """Measure a pair of a camera alone with the defaults, and hold the result against its truth."""
-    return _judged(pair, _matched(pair, threads))
-
-
-def cracks_of(pair: TruthPair, threads: int) -> CrackOpenings:
-    """Measure what the cracks of a pair have opened by."""
-    return _cracks(_matched(pair, threads))
-
-
-def judged_crack(pair: TruthPair, threads: int) -> JudgedCrack:
-    """Measure what a crack all through a pair has opened by, and the strain about it."""
-    if pair.slip is None:
-        raise InvalidInput(f"'{pair.name}' has no crack all through the image")
-    return _judged_crack(pair.slip, _matched(pair, threads))
-
-
-def _judged(pair: TruthPair, shelf: Shelf) -> Judged:
+def judged(pair: TruthPair, shelf: Shelf) -> Judged:
+    """Hold what was measured of a pair of a camera alone against its truth."""
     found: DisplacementField = shelf.records["correlate", DEFORMED]["displacement"]
     known = np.isfinite(pair.displacement[0])
     valid = known & (found.reason == 0)
@@ -171,8 +154,9 @@ def _judged(pair: TruthPair, shelf: Shelf) -> Judged:
     return Judged(int(known.sum()), errors, np.sqrt(variance))
 
 
-def _judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
-    found = _cracks(shelf)
+def judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
+    """Hold what a crack all through a pair has opened by against its slip, and the strain about it."""
+    found = crack_openings(shelf)
     shelf.run(strain.KIND, DEFORMED, strain.KIND.parameters())
     field: StrainField = shelf.records["strain", DEFORMED]["strain"]
     near = field.reason == 0
@@ -184,13 +168,15 @@ def _judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
     )
 
 
-def _cracks(shelf: Shelf) -> CrackOpenings:
+def crack_openings(shelf: Shelf) -> CrackOpenings:
+    """Measure what the cracks of a pair have opened by."""
     shelf.run(cracks.KIND, DEFORMED, cracks.KIND.parameters())
     found: CrackOpenings = shelf.records["cracks", DEFORMED]["cracks"]
     return found
 
 
-def _matched(pair: TruthPair, threads: int) -> Shelf:
+def matched(pair: TruthPair, threads: int) -> Shelf:
+    """Measure a pair with the defaults."""
     return correlated(pair.reference, pair.deformed, READ_NOISE, CorrelateParameters(), threads)
 
 
