@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 
-from sqlalchemy import delete, func, insert, literal, select, union
+from sqlalchemy import func, insert, literal, select, union
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue.models import (
@@ -43,25 +43,6 @@ def note_calibrations(session: Session, file_id: int) -> None:
         .where(ProvenanceRow.output_id == file_id)
     )
     session.execute(insert(CalibrationUseRow).from_select(_COLUMNS, union(direct, through)))
-
-
-def note_all_calibrations(session: Session) -> None:
-    """Enter anew for every file with which calibrations it was computed, from the whole provenance."""
-    session.flush()
-    session.execute(delete(CalibrationUseRow))
-    used = (
-        select(CalibrationRow.id.label("calibration_id"), ProvenanceRow.output_id.label("file_id"))
-        .join(ProvenanceRow, ProvenanceRow.input_id == CalibrationRow.file_id)
-        .cte("used", recursive=True)
-    )
-    used = used.union(
-        select(used.c.calibration_id, ProvenanceRow.output_id).join(
-            ProvenanceRow, ProvenanceRow.input_id == used.c.file_id
-        )
-    )
-    session.execute(
-        insert(CalibrationUseRow).from_select(_COLUMNS, select(used.c.calibration_id, used.c.file_id))
-    )
 
 
 def note_recording(session: Session, file: FileRow, at: datetime, readings: Mapping[str, float]) -> None:

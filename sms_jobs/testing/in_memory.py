@@ -26,6 +26,7 @@ class InMemory:
 
     def read(self, name: str, record: type[R]) -> R:
         """Return one record."""
+        assert isinstance(self.records[name], record)
         return cast(R, self.records[name])
 
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.bench.fringes.peeling import Peeled, peel_returns
+from sms_jobs.bench.fringes.return_bounds import two_return_bound
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
-from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 from sms_jobs.metrology.phase.sequences import linear, ranging
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 

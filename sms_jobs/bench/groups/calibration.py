@@ -16,7 +16,7 @@ from sms_jobs.bench.sessions.sphere_scene import NOISE_MM, sphere_scenes
 from sms_jobs.kinds.shape import reconstruct, stereo
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
-from sms_jobs.metrology.calibration.bundle.covariance import point_standard_deviation
+from sms_jobs.metrology.calibration.bundle.covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle.cross_validation import cross_validate
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions
 from sms_jobs.metrology.calibration.bundle.result import Adjustment
@@ -57,7 +57,8 @@ def point_errors(made: BarSession, found: Adjustment, grid: Floats) -> tuple[Flo
             seen = [project(s.intrinsics, s.pose, grid) for s in (camera, projector)]
             own = [(found.sensors[k].intrinsics, found.sensors[k].pose) for k in (c, p)]
             errors.append(meet_rays(own[0], own[1], seen[0], seen[1])[0] - grid)
-            sigmas.append(point_standard_deviation(found, camera.name, projector.name, grid))
+            covariance = point_covariance(found, camera.name, projector.name, grid)
+            sigmas.append(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
     return np.array(errors), np.array(sigmas)
 
 

@@ -22,7 +22,7 @@ from sms_jobs.metrology.deformation.matching.correlation import (
     prepare_images,
 )
 from sms_jobs.metrology.deformation.matching.grid import REFINEMENT, GridSettings, match_grid
-from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sample_grid
+from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sample_nodes
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.spline import Interpolant
@@ -106,17 +106,18 @@ def _speed(run: Run) -> Iterator[Found]:
     )
     settings, grid, search = MatchSettings(RADIUS), GridSettings(spacing=4), SearchSettings()
     whole = cpu_seconds(lambda: match_grid(images, pair[1], settings, grid, search), 3)
-    gx, gy, _ = sample_grid(images.labels, grid.spacing)
-    seeds = choose_seeds(images.labels, gx, gy, search)
+    nodes = sample_nodes(images.labels, grid.spacing)
+    seeds = choose_seeds(images.labels, nodes.x, nodes.y, search)
     seeding = cpu_seconds(
-        lambda: seed_displacements(pair[0], pair[1], images.labels, gx[seeds], gy[seeds], search), 3
+        lambda: seed_displacements(pair[0], pair[1], images.labels, nodes.x[seeds], nodes.y[seeds], search),
+        3,
     )
     yield Figure("seed_share_of_correlation", seeding / whole, "1", 1.0 / 3.0, "at most")
-    yield Figure("grid_r16_points_per_cpu_s", len(gx) / whole, "points / CPU-s")
+    yield Figure("grid_r16_points_per_cpu_s", len(nodes.x) / whole, "points / CPU-s")
     yield Condition(
         "seed_share",
-        f"{len(seeds)} seeds within +-{search.range_x} px each way, then {len(gx)} points {grid.spacing} px "
-        "apart, from neighbour to neighbour, outliers removed; one thread",
+        f"{len(seeds)} seeds within +-{search.range_x} px each way, then {len(nodes.x)} points "
+        f"{grid.spacing} px apart, from neighbour to neighbour, outliers removed; one thread",
     )
 
 

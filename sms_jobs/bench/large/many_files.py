@@ -23,11 +23,12 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import copying, job_counts, lineage, upkeep
+from sms_jobs.catalogue import copying, job_counts, upkeep
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     BigId,
     CalibrationRow,
+    CalibrationUseRow,
     CampaignRow,
     ChannelRow,
     FileRow,
@@ -138,7 +139,7 @@ def fill(catalogue: Catalogue, files: int, say: Callable[[str], None] = lambda t
             _facts(part)
         say(f"filled {min(files, first + at_once)} files")
     with catalogue.writing() as session:
-        lineage.note_all_calibrations(session)
+        _note_calibrations(session)
         if catalogue.dialect == "postgresql":
             copying.set_sequences(session)
     job_counts.fold(catalogue)
@@ -339,3 +340,22 @@ def _padded(n: ColumnElement[int]) -> ColumnElement[Any]:
 
 def _joined(first: str, rest: ColumnElement[Any]) -> ColumnElement[Any]:
     return literal(first, String).concat(rest)
+
+
+def _note_calibrations(session: Session) -> None:
+    """Enter for every file with which calibrations it was computed, from the whole provenance at once."""
+    session.flush()
+    used = (
+        select(CalibrationRow.id.label("calibration_id"), ProvenanceRow.output_id.label("file_id"))
+        .join(ProvenanceRow, ProvenanceRow.input_id == CalibrationRow.file_id)
+        .cte("used", recursive=True)
+    )
+    used = used.union(
+        select(used.c.calibration_id, ProvenanceRow.output_id).join(
+            ProvenanceRow, ProvenanceRow.input_id == used.c.file_id
+        )
+    )
+    columns = ["calibration_id", "file_id"]
+    session.execute(
+        insert(CalibrationUseRow).from_select(columns, select(*(used.c[name] for name in columns)))
+    )

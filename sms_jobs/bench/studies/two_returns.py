@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from sms_jobs.bench.fringes.peeling import Peeled
+from sms_jobs.bench.fringes.return_bounds import two_return_bound
 from sms_jobs.bench.fringes.returns import Signals, found_near, pairs, rms, simulate, single_bound
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns
-from sms_jobs.metrology.phase.ranging.bound import two_return_bound
 
 FRINGES = 64
 SIGNAL_TO_NOISE = 50.0

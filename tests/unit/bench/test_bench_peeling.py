@@ -7,8 +7,8 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
+from sms_jobs.bench.fringes.return_bounds import omega_bounds
 from sms_jobs.bench.fringes.returns import FULL_SCALE, pairs, rms, simulate, wrapped
-from sms_jobs.metrology.phase.ranging.bound import omega_bounds
 
 FRINGES = 64
 SIGNAL_TO_NOISE = 50.0

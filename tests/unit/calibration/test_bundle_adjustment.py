@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.bench.sessions.bar_session import TABLE_3, BarSession, SessionDesign, bar_session
 from sms_jobs.metrology.calibration.bundle.adjustment import adjust
-from sms_jobs.metrology.calibration.bundle.covariance import point_covariance, point_standard_deviation
+from sms_jobs.metrology.calibration.bundle.covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem, SensorPrior
 from sms_jobs.metrology.calibration.bundle.result import Adjustment
 from sms_jobs.metrology.calibration.bundle.weights import Consistency
@@ -218,8 +218,8 @@ def test_points_scatter_as_predicted_over_many_calibrations() -> None:
             pixels = [project(s.intrinsics, s.pose, grid) for s in true]
             own = [(found.sensors[k].intrinsics, found.sensors[k].pose) for k in (c, p)]
             error = triangulated(own[0], own[1], (pixels[0], pixels[1])) - grid
-            sigma = point_standard_deviation(found, true[0].name, true[1].name, grid)
-            z.append(error / sigma)
+            covariance = point_covariance(found, true[0].name, true[1].name, grid)
+            z.append(error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
     # The target. 20 calibrations with some ten independent directions each give it to 5 %.
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.2
 

@@ -7,7 +7,7 @@ import pytest
 
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED, MatchSettings, prepare_images
 from sms_jobs.metrology.deformation.matching.grid import GridSettings, match_grid
-from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sample_grid, sample_nodes
+from sms_jobs.metrology.deformation.matching.sampling import choose_seeds, sample_nodes
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 
 SIZE = 128
@@ -37,10 +37,10 @@ def test_nodes_lie_on_regions_and_seeds_deep_inside() -> None:
     labels = np.zeros((70, 130), np.int32)
     labels[10:60, 5:60] = 1
     labels[10:60, 60:125] = 2
-    x, y, node = sample_grid(labels, 5)
-    assert (labels[y, x] > 0).all()
-    assert node.max() == len(x) - 1
-    np.testing.assert_array_equal(np.argwhere(node >= 0)[:, 0] * 5 + 2, y)
+    nodes = sample_nodes(labels, 5)
+    x, y = nodes.x, nodes.y
+    # Every fifth pixel of every fifth row, row by row, where a region is.
+    np.testing.assert_array_equal(np.argwhere(labels[2::5, 2::5] > 0) * 5 + 2, np.stack([y, x], axis=1))
     seeds = choose_seeds(labels, x, y, SearchSettings(spacing=64))
     # Squares of 64 px: region 1 lies in one column of them, region 2 in two; the edge at 64 is in both.
     assert sorted(labels[y[seeds], x[seeds]]) == [1, 2, 2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,27 +20,10 @@ from sms_jobs.records.scene import HalvesApart, Rigid, Simulation
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
+from sms_jobs.testing.in_memory import InMemory
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.rendering import render
 from sms_jobs.virtual_rig.truth import Truth, exact_truth
-
-R = TypeVar("R")
-
-
-@dataclass(frozen=True)
-class InMemory:
-    """A dataset whose records are at hand."""
-
-    subject: Subject
-    records: dict[str, Any]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.records)
-
-    def read(self, name: str, record: type[R]) -> R:
-        assert isinstance(self.records[name], record)
-        return cast(R, self.records[name])
 
 
 @dataclass(frozen=True)

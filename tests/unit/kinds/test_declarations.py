@@ -11,7 +11,7 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import strain
 from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Port
-from sms_jobs.kinds.products import MERGED, MESH, REGIONS, STRAIN, SURFACE
+from sms_jobs.kinds.products import MERGED, MESH, REGIONS, STRAIN
 from sms_jobs.kinds.reporting import report
 from sms_jobs.records.fields import Regions
 from sms_jobs.records.subject import Subject
@@ -54,13 +54,14 @@ def test_what_is_not_declared_is_refused() -> None:
 
 
 def test_a_port_gives_only_what_it_declares() -> None:
-    port = Port("shape", "reconstruct", (SURFACE,), several=True)
+    port = Port("shape", "reconstruct", (REGIONS,), several=True)
     other = replace(SUBJECT, view="C1P2")
-    datasets = {port.role(one): InMemory(one, {"surface": one.view}) for one in (SUBJECT, other)}
+    of = {one: Regions((), None) for one in (SUBJECT, other)}  # type: ignore[arg-type]
+    datasets = {port.role(one): InMemory(one, {"regions": found}) for one, found in of.items()}
     inputs = Inputs(Subject("plate", "S01"), None, datasets)
     assert inputs.about(port) == (SUBJECT, other)
-    assert inputs.read(port, SURFACE, other) == "C1P2"
-    assert inputs.has(port, SURFACE, other)
+    assert inputs.read(port, REGIONS, other) is of[other]
+    assert inputs.has(port, REGIONS, other)
     assert not inputs.has(port, MESH, other)
     assert not inputs.has(port)
     with pytest.raises(TypeError, match="port shape does not declare that mesh is read"):

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from sms_jobs.bench.fringes.return_bounds import omega_bounds, two_return_bound
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
-from sms_jobs.metrology.phase.ranging.bound import omega_bounds, two_return_bound
 from sms_jobs.metrology.phase.ranging.modulation import modulation_transfer
 from sms_jobs.metrology.phase.ranging.signal import uniform_steps
 

@@ -91,9 +91,3 @@ def point_covariance(adjustment: Adjustment, camera: str, projector: str, points
     first, second = ((s.intrinsics, s.pose) for s in found)
     rows = point_jacobian(first, second, np.asarray(points, dtype=np.float64))
     return np.asarray(rows @ pair_covariance(adjustment, camera, projector) @ rows.transpose(0, 2, 1))
-
-
-def point_standard_deviation(adjustment: Adjustment, camera: str, projector: str, points: Floats) -> Floats:
-    """Return the standard deviation of points due to the calibration, (n, 3) in mm along X, Y and Z."""
-    covariance = point_covariance(adjustment, camera, projector, points)
-    return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sms_jobs.metrology.arrays import Ints, Labels, Mask, Singles
+from sms_jobs.metrology.arrays import Ints, Labels, Singles
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.images.masks import distance_inside, of_one_label
 
@@ -37,37 +37,6 @@ class Nodes:
     x: Ints
     y: Ints
     around: Ints
-
-
-def sample_grid(labels: Labels, spacing: int) -> tuple[Ints, Ints, Ints]:
-    """Return the nodes of a regular grid that lie on a region.
-
-    Parameters
-    ----------
-    labels
-        (rows, columns), 0 where there is no region.
-    spacing
-        In px.
-
-    Returns
-    -------
-    x, y
-        (n,), in px, row by row.
-    node
-        (grid rows, grid columns): the index of each node in `x`, -1 where it is on no region.
-    """
-    offset = spacing // 2
-    on_region = labels[offset::spacing, offset::spacing] > 0
-    node, rows, columns = _numbered(on_region)
-    return offset + spacing * columns, offset + spacing * rows, node
-
-
-def _numbered(taken: Mask) -> tuple[Ints, Ints, Ints]:
-    """Return the number of each taken place, -1 for the others, and the places' rows and columns."""
-    node = np.full(taken.shape, -1, dtype=np.int64)
-    rows, columns = np.nonzero(taken)
-    node[rows, columns] = np.arange(len(rows))
-    return node, rows, columns
 
 
 def depth_in_region(labels: Labels) -> Singles:
@@ -101,7 +70,9 @@ def sample_nodes(labels: Labels, spacing: int, edge_spacing: int | None = None) 
         padded = np.pad(labels, spacing + 1, mode="edge")
         depth = depth_in_region(padded)[spacing + 1 : -spacing - 1, spacing + 1 : -spacing - 1]
         taken = coarse | ((region > 0) & (depth[offset::fine, offset::fine] < spacing))
-    node, rows, columns = _numbered(taken)
+    rows, columns = np.nonzero(taken)
+    node = np.full(taken.shape, -1, dtype=np.int64)
+    node[rows, columns] = np.arange(len(rows))
     own = region[rows, columns]
     near = _neighbours(node, own, rows, columns, 1)
     if ratio > 1:
