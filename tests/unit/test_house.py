@@ -27,6 +27,8 @@ TESTS = sorted(path for path in (ROOT / "tests").rglob("*.py") if "__pycache__" 
 LINES_IN_A_FILE = 450  # about 400, and an eighth more before anybody is stopped
 LINES_IN_A_FUNCTION = 70  # a tall screen, signature and all, but for the docstring
 ARGUMENTS_OF_A_FUNCTION = 10
+USED_BY_PEOPLE = {"sms_jobs/lab/__init__.py"}  # in notebooks, as in docs/python.md
+USED_BY_TESTS = {"controller"}  # tells what a simulated controller was commanded
 KERNELS = {"kernel", "uncounted_kernel", "summing_kernel", "inlined"}
 
 
@@ -96,6 +98,36 @@ def takes_options(function: Function) -> bool:
     return any(ast.unparse(one) == "ROUTES.offer" for one in calls)
 
 
+def is_entered(node: ast.stmt) -> bool:
+    """Say whether a decorator enters what it stands over somewhere: a command, an address, a validator."""
+    calls = (one.func for one in getattr(node, "decorator_list", ()) if isinstance(one, ast.Call))
+    return not {ast.unparse(one) for one in calls} <= {"dataclass", "use_case"}
+
+
+def uses(tree: ast.AST) -> Iterator[str]:
+    """Yield the names that are read, attributes, and texts that may be names, as of a table of commands."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            yield node.id
+        elif isinstance(node, ast.Attribute):
+            yield node.attr
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def definitions(tree: ast.Module) -> Iterator[tuple[str, ast.stmt, set[str]]]:
+    """Yield what is to be used: functions, classes, constants, and methods with the bases of their class."""
+    for node in tree.body:
+        if isinstance(node, Function | ast.ClassDef):
+            yield node.name, node, set()
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            yield from ((one.id, node, set()) for one in targets if isinstance(one, ast.Name))
+        if isinstance(node, ast.ClassDef):
+            bases = {ast.unparse(base).partition("[")[0] for base in node.bases}
+            yield from ((one.name, one, bases) for one in node.body if isinstance(one, Function))
+
+
 def packages(lock: str) -> dict[str, set[str]]:
     """Return the versions of each package of a lock; platforms may differ."""
     found: dict[str, set[str]] = {}
@@ -135,6 +167,25 @@ def test_no_module_needs_one_that_needs_it() -> None:
         named = imported_names(ast.parse(path.read_text(encoding="utf-8")))
         graph[name] = {one if one in modules else one.rpartition(".")[0] for one in named} & modules.keys()
     TopologicalSorter({name: needed - {name} for name, needed in graph.items()}).prepare()
+
+
+def test_nobody_keeps_what_nobody_uses() -> None:
+    # Told by names alone: what shares its name with something that is used is not found, and nothing is
+    # found that is used.
+    counts: Counter[str] = Counter()
+    classes = {"Protocol", "Generic", "ABC"}
+    defined: list[tuple[str, str, int, set[str]]] = []
+    for path in SOURCES + [one for one in TESTS if "support" in one.parts or one.name == "conftest.py"]:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        counts.update(uses(tree))
+        classes |= {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+        if path in SOURCES and "versions" not in path.parts and relative(path) not in USED_BY_PEOPLE:
+            for name, node, bases in definitions(tree):
+                if not (name.startswith("__") or name in USED_BY_TESTS or is_entered(node)):
+                    own = sum(one == name for one in uses(node))
+                    defined.append((relative(path), name, own, bases))
+    # Other packages call the methods that a class of ours has from them.
+    assert [f"{of}: {n}" for of, n, own, bases in defined if counts[n] <= own and bases <= classes] == []
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=relative)
