@@ -31,7 +31,8 @@ from sms_jobs.jobs.archiving.indexing import ResolvedInput
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.kinds import kind_named
-from sms_jobs.kinds.kind import Dataset, DatasetOutput, Inputs
+from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.products import Dataset
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.measurement import FrameStack, Measurement
 from sms_jobs.records.sensors import Calibration

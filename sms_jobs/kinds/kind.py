@@ -19,7 +19,7 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import View, view_of
 
 if TYPE_CHECKING:
-    from sms_jobs.kinds.products import Product
+    from sms_jobs.kinds.products import Dataset, Product
     from sms_jobs.records.campaign import Campaign, LoadState
     from sms_jobs.records.optical_instruments import RigFile
 
@@ -101,24 +101,6 @@ class Need:
     def source(self) -> str:
         """What makes it."""
         return self.port.source
-
-
-class Dataset(Protocol):
-    """One file of the archive, open for reading."""
-
-    @property
-    def subject(self) -> Subject:
-        """What the file is about."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the records it holds."""
-        ...
-
-    def read(self, name: str, record: type[R]) -> R:
-        """Read one record; frame stacks stay in the file and are streamed."""
-        ...
 
 
 class Progress(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.assessment import Assessment
@@ -34,9 +34,27 @@ from sms_jobs.records.surfaces import DeviationField, ReferenceSurface, SurfaceR
 from sms_jobs.records.system_test import SystemTest
 
 if TYPE_CHECKING:
-    from sms_jobs.kinds.kind import Dataset
+    from sms_jobs.records.subject import Subject
 
 R = TypeVar("R")
+
+
+class Dataset(Protocol):
+    """One file of the archive, open for reading."""
+
+    @property
+    def subject(self) -> Subject:
+        """What the file is about."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the records it holds."""
+        ...
+
+    def read(self, name: str, record: type[R]) -> R:
+        """Read one record; frame stacks stay in the file and are streamed."""
+        ...
 
 
 @dataclass(frozen=True)
