@@ -110,14 +110,25 @@ def test_a_session_is_begun_and_ended(home: tuple[httpx2.Client, dict[Role, str]
         assert browser.get("session").status_code == 401
 
 
-def test_certifying_asks_for_the_password_again(home: tuple[httpx2.Client, dict[Role, str]]) -> None:
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("calibrations/certify", {"session": "plate"}),
+        ("calibrations/77/use", {"in_use": True}),
+        ("calibrations/77/use", {"in_use": False, "campaign": "plate"}),
+    ],
+    ids=["certify", "accept", "withdraw"],
+)
+def test_what_calibration_is_used_asks_for_the_password_again(
+    home: tuple[httpx2.Client, dict[Role, str]], path: str, body: dict[str, Any]
+) -> None:
     client, tokens = home
     headers = {"Authorization": f"Bearer {tokens[Role.METROLOGIST]}"}
 
-    def certify(**more: str) -> httpx2.Response:
-        return client.post("calibrations/certify", json={"session": "plate", **more}, headers=headers)
+    def decide(**more: str) -> httpx2.Response:
+        return client.post(path, json={**body, **more}, headers=headers)
 
-    assert certify().json()["kind"] == "PasswordNeeded"
-    assert certify(password="not this one").json()["kind"] == "NotAllowed"
-    # Confirmed: now it is the session that has given no calibration.
-    assert certify(password=_PASSWORD.get_secret_value()).json()["kind"] == "NotFound"
+    assert decide().json()["kind"] == "PasswordNeeded"
+    assert decide(password="not this one").json()["kind"] == "NotAllowed"
+    # Confirmed: now it is the calibration that is missing.
+    assert decide(password=_PASSWORD.get_secret_value()).json()["kind"] == "NotFound"

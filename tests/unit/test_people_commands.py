@@ -103,8 +103,11 @@ def test_a_viewer_looks_on_alone(made: Path) -> None:
         assert (code, f"{ME} is viewer and may not" in said) == (8, True), words
 
 
-def test_certifying_asks_for_the_password(made: Path) -> None:
-    words = ["calibration", "certify", "no-such-session", "--reason", "as agreed"]
+@pytest.mark.parametrize(
+    "decided", [["certify", "no-such-session"], ["accept", "77"], ["withdraw", "77"]], ids=lambda one: one[0]
+)
+def test_what_calibration_is_used_asks_for_the_password(made: Path, decided: list[str]) -> None:
+    words = ["calibration", *decided, "--reason", "as agreed"]
     assert run(made, *words)[0] == 3  # whoever owns the home and has no name has no password either
     add_me(made, "metrologist")
     code, said = run(made, *words)

@@ -248,7 +248,7 @@ class Decision:
     new: bool
 
 
-@use_case(Right.CERTIFY)
+@use_case(Right.CERTIFY, confirm=True)
 def decide(services: Services, number: int, campaign: str | None, *, in_use: bool) -> Decision:
     """Take a calibration into use for its rig, or for one campaign; or use it no longer.
 

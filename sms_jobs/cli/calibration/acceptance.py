@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.calibrating import calibrations
+from sms_jobs.app.calibrating.calibrations import Decision
 from sms_jobs.cli import completion, output
-from sms_jobs.cli.asking import Reason, because
+from sms_jobs.cli.asking import PasswordStdin, Reason, because, confirming
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import CalibrationView
 
@@ -28,45 +28,66 @@ Of = Annotated[
 
 
 def accept(
-    number: Number, campaign: Of = None, reason: Reason = None, home: Home = None, as_json: Json = False
+    number: Number,
+    campaign: Of = None,
+    reason: Reason = None,
+    password_stdin: PasswordStdin = False,
+    home: Home = None,
+    as_json: Json = False,
 ) -> None:
     """Take a calibration into use that came from elsewhere.
 
     What is imported for a rig that has a calibration, or comes with a packed folder, changes nothing before
     it is accepted here. Then measurements of the rig from its time on are computed with it, but for those of
     campaigns that have calibrations of their own. Results that were computed with another one show as stale
-    in 'sms job explain', and are computed again when they are submitted.
+    in 'sms job explain', and are computed again when they are submitted. Whoever has a password here is asked
+    for it.
 
     Example: sms calibration accept 3; sms calibration accept 4 --campaign wing-fatigue
     """
-    _decide(number, campaign, reason, home, as_json, in_use=True)
+    with bootstrap.services(home) as services:
+        done = confirming(
+            because(services, reason),
+            password_stdin,
+            lambda who: calibrations.decide(who, number, campaign, in_use=True),
+        )
+    _tell(done, campaign, as_json, in_use=True)
 
 
 def withdraw(
-    number: Number, campaign: Of = None, reason: Reason = None, home: Home = None, as_json: Json = False
+    number: Number,
+    campaign: Of = None,
+    reason: Reason = None,
+    password_stdin: PasswordStdin = False,
+    home: Home = None,
+    as_json: Json = False,
 ) -> None:
     """Use a calibration no longer; it stays in the archive, with all that was computed with it.
 
+    Whoever has a password here is asked for it.
+
     Example: sms calibration withdraw 3
     """
-    _decide(number, campaign, reason, home, as_json, in_use=False)
-
-
-def _decide(
-    number: int, campaign: str | None, reason: str | None, home: Path | None, as_json: bool, *, in_use: bool
-) -> None:
     with bootstrap.services(home) as services:
-        done = calibrations.decide(because(services, reason), number, campaign, in_use=in_use)
-    if as_json:
-        output.print_json({"calibration": number, "campaign": campaign, "in_use": in_use, "new": done.new})
-        return
+        done = confirming(
+            because(services, reason),
+            password_stdin,
+            lambda who: calibrations.decide(who, number, campaign, in_use=False),
+        )
+    _tell(done, campaign, as_json, in_use=False)
+
+
+def _tell(done: Decision, campaign: str | None, as_json: bool, *, in_use: bool) -> None:
     view = done.calibration
+    if as_json:
+        output.print_json({"calibration": view.id, "campaign": campaign, "in_use": in_use, "new": done.new})
+        return
     whom = f"rig {view.rig}" if campaign is None else f"campaign {campaign} alone"
     if in_use:
         said = f"is used for {whom} from {output.shown(view.valid_from)} on"
     else:
         said = f"is not used for {whom}"
-    output.say(f"calibration {number} {said}" + ("" if done.new else ", as before"))
+    output.say(f"calibration {view.id} {said}" + ("" if done.new else ", as before"))
 
 
 def used_for(view: CalibrationView) -> str:

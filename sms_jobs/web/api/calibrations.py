@@ -37,7 +37,7 @@ class Check(Asked):
     false_alarm: Annotated[float, Field(gt=0, lt=1)] = 0.001
 
 
-class Use(Asked):
+class Use(Confirmed):
     """What a calibration is used for, or no longer."""
 
     in_use: bool
@@ -98,7 +98,7 @@ def show(services: Acting, number: Number) -> Any:
 @ROUTES.offer("POST", "/calibrations/{number}/use", calibrations.decide, answers=Decision)
 def decide(services: Acting, number: Number, body: Use) -> Any:
     """Decide what a calibration is used for."""
-    return answer(calibrations.decide(services, number, body.campaign, in_use=body.in_use))
+    return answer(calibrations.decide(confirmed(services, body), number, body.campaign, in_use=body.in_use))
 
 
 @ROUTES.offer("GET", "/calibrations/{number}/export", calibrations.export, answers=CalibrationText)
