@@ -15,6 +15,7 @@ from sms_jobs.catalogue.models import (
     CalibrationRow,
     CampaignRow,
     FileRow,
+    JobRow,
     LoadStateRow,
     ReadingRow,
     RigRow,
@@ -88,6 +89,15 @@ def readings(session: Session, file_id: int) -> dict[str, float]:
         .order_by(ReadingRow.name)
     )
     return dict(rows.all())
+
+
+def parameters(session: Session, file_ids: Sequence[int]) -> dict[int, dict[str, Any]]:
+    """Return the parameters that each of some files was computed with, where its job is known."""
+    found: dict[int, dict[str, Any]] = {}
+    for some in parts(file_ids):
+        query = select(FileRow.id, JobRow.parameters).join(JobRow, JobRow.id == FileRow.job_id)
+        found |= dict(session.execute(query.where(FileRow.id.in_(some))).tuples().all())
+    return found
 
 
 def files_of_job(session: Session, job_id: str) -> list[FileView]:

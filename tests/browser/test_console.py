@@ -89,7 +89,7 @@ def press(page: Browser, key: str, number: int, text: str = "") -> None:
         text = ""
 
 
-def test_a_campaign_is_computed_looked_at_and_a_calibration_certified(
+def test_a_campaign_is_computed_looked_at_compared_and_a_calibration_certified(
     page: Browser, site: str, home: Path
 ) -> None:
     log_in(page, site, "ada", "/campaigns/plate")
@@ -111,9 +111,29 @@ def test_a_campaign_is_computed_looked_at_and_a_calibration_certified(
             page.wait_for(f"document.querySelector('{done} .good')", seconds=120)
         assert page.run("window.here")
 
+        page.visit(f"{site}/campaigns/plate?kind=strain")
+        page.click("#parameters summary")
+        page.write("#p-gauge_length_mm", "12.5")
+        page.click("#go")
+        page.wait_for("document.querySelector('#submit .outcome').textContent.includes('Submitted 2')")
+        page.wait_for("document.querySelector('#state').textContent.includes('19 succeeded')", seconds=120)
+
+    page.visit(f"{site}/campaigns/plate")
     page.leave_by("#tuples-S01-C1P2-strain")
     page.wait_for("document.querySelector('#picture').naturalWidth > 100")
     assert page.run("document.querySelectorAll('.lineage a').length") == 7
+    page.leave_by("a[href^='/field/']")
+    page.wait_for("document.querySelector('#m0 .readout')?.textContent.length > 9")
+    page.write("#gauge-text", "G1 x=0 y=0 length=20")
+    page.click("#gauge button")
+    page.wait_for("document.querySelector('#told').textContent.includes('pixels of C1P2')")
+    again = "#with optgroup[label^='The same'] option"
+    assert page.run(f"document.querySelector(`{again}`).textContent").startswith("gauge length mm ")
+    page.run(f"document.querySelector(`{again}`).selected = true")
+    page.leave_by("form[method=get] button")
+    page.wait_for("document.querySelector('#difference .readout')?.textContent.length > 9")
+    chosen = page.run("document.querySelector('#with').selectedOptions[0].textContent")
+    assert chosen.startswith("gauge length mm")
 
     page.visit(f"{site}/certify/session")
     page.write("#reason", "held out poses of the bar agree")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+
     from sms_jobs.records.campaign import Campaign
 
 _MOST_FILES = 20_000
@@ -58,6 +61,15 @@ class Alike:
 
 
 @dataclass(frozen=True)
+class Rerun:
+    """Another result of the same kind, state and view, and the parameters in which it differs."""
+
+    file: int
+    made_at: datetime
+    differs: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class FieldPage:
     """What a page about the fields of a file has to know before it draws any.
 
@@ -75,6 +87,8 @@ class FieldPage:
         Names of three quantities that are X, Y, Z of the surface, and of its displacement; None without.
     alike
         In the order of the states, this one among them.
+    reruns
+        The same computed at other times, the newest first.
     turn, shift
         What brings positions into the frame of gauges, by rows: turn (position - shift), in mm.
     statistics
@@ -89,6 +103,7 @@ class FieldPage:
     position: tuple[str, ...] | None
     movement: tuple[str, ...] | None
     alike: tuple[Alike, ...]
+    reruns: tuple[Rerun, ...]
     turn: tuple[float, ...]
     shift: tuple[float, ...]
     statistics: dict[str, float]
@@ -152,6 +167,7 @@ def field_page(services: Services, key: str, part: str | None = None) -> FieldPa
     fields = fields_of(services, key, part)
     file = fields.file
     alike: list[Alike] = []
+    reruns: list[Rerun] = []
     turn, shift = np.eye(3), np.zeros(3)
     with services.catalogue.reading() as session:
         statistics = search.statistics(session, file.id)
@@ -159,6 +175,7 @@ def field_page(services: Services, key: str, part: str | None = None) -> FieldPa
             campaign = campaigns.definition(campaigns.campaign_row(session, about.campaign))
             found = search.find_files(session, source=file.source, campaign=about.campaign, limit=_MOST_FILES)
             alike = _alike(file, found, campaign)
+            reruns = _reruns(session, file, found)
             if fields.position is not None:
                 placement = campaign.placement
                 turn, shift = placement.matrix().T, np.array(placement.translation)
@@ -171,6 +188,7 @@ def field_page(services: Services, key: str, part: str | None = None) -> FieldPa
         fields.position,
         fields.movement,
         tuple(alike),
+        tuple(reruns),
         tuple(map(float, turn.ravel())),
         tuple(map(float, shift)),
         statistics,
@@ -204,3 +222,22 @@ def _alike(file: FileView, found: Iterable[FileView], campaign: Campaign) -> lis
     )
     states = campaign.states
     return [Alike(number, states[k].label, view, states[k].known_load_n) for k, view, number in ordered]
+
+
+def _reruns(session: Session, file: FileView, found: Iterable[FileView]) -> list[Rerun]:
+    """Return the other results about the same, and the parameters in which they differ from this one."""
+    others = [
+        one
+        for one in found
+        if one.subject == file.subject and one.media_type == file.media_type and one.id != file.id
+    ]
+    known = search.parameters(session, [file.id, *(one.id for one in others)])
+    own = known.get(file.id, {})
+    return [
+        Rerun(
+            one.id,
+            one.created_at,
+            {name: value for name, value in known.get(one.id, own).items() if own.get(name) != value},
+        )
+        for one in others
+    ]
