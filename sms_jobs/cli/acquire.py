@@ -187,8 +187,18 @@ def list_(home: Home = None, as_json: Json = False) -> None:
         output.print_json_list(found)
         return
     output.print_table(
-        ["job", "state of the campaign", "job is", "recorded", "because"],
-        [(r.job_id[:SHORT_ID], r.subject, r.state.value, " ".join(r.finished), r.reason) for r in found],
+        ["job", "state of the campaign", "job is", "host", "recorded", "because"],
+        [
+            (
+                r.job_id[:SHORT_ID],
+                r.subject,
+                r.state.value,
+                r.host,
+                " ".join(r.finished) if r.here or not r.host else f"see {r.host}",
+                r.reason,
+            )
+            for r in found
+        ],
         empty="no recording runs or waits",
     )
 

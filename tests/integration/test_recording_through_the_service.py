@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -158,6 +159,10 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
         def needs_operator() -> bool:
             return [r.state for r in opened()] == [JobState.NEEDS_OPERATOR]
 
+        def seen_from_another_host() -> recordings.OpenRecording:
+            with services.catalogue.reading() as session:
+                return recordings.open_recordings(session, home / "another spool")[0]
+
         with service(home) as supervisor:
             job = submitted()
             # A rig that is connected later is served by the worker that runs.
@@ -169,6 +174,9 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
             wait_until(needs_operator)
             (waiting,) = opened()
             assert waiting.finished == ("C1P1",)
+            assert (waiting.host, waiting.here) == (socket.gethostname(), True)
+            away = seen_from_another_host()
+            assert (away.host, away.here, away.finished) == (waiting.host, False, ())
             assert "cannot be asked for twice" in waiting.reason
             with services.catalogue.reading() as session:
                 assert not locks.held(session, datetime.now(UTC))

@@ -12,7 +12,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
+from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow, WorkerRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.instruments.kept_sets import forget, kept
 from sms_jobs.jobs.asking.inquiry import find_job
@@ -84,6 +84,10 @@ class OpenRecording:
         Of the job.
     reason
         Why it stands where it does.
+    host
+        Where it was begun last, and its frames are; empty before that.
+    here
+        Whether the spool of this host has frames of it; nothing is known of those of other hosts.
     finished
         Views that are in the spool as a whole.
     doubts
@@ -94,14 +98,17 @@ class OpenRecording:
     subject: str
     state: JobState
     reason: str
+    host: str
+    here: bool
     finished: tuple[str, ...]
     doubts: tuple[str, ...]
 
 
 def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
     """Return the recordings that run or wait for an operator, oldest first; `spool` is that of this host."""
-    rows = session.scalars(
-        select(JobRow)
+    rows = session.execute(
+        select(JobRow, WorkerRow.host)
+        .outerjoin(WorkerRow, WorkerRow.id == JobRow.worker_id)
         .where(
             JobRow.kind.in_(RECORDING),
             JobRow.state.in_(OPEN),
@@ -109,12 +116,20 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
         .order_by(JobRow.position)
     )
     found = []
-    for row in rows:
-        finished = kept(spool / row.id)
+    for row, host in rows:
+        frames = spool / row.id
+        finished = kept(frames)
         doubts = tuple(words for one in finished.values() for words in one.verdict.doubts)
         found.append(
             OpenRecording(
-                row.id, row.subject, row.state, row.error or row.message or "", tuple(finished), doubts
+                row.id,
+                row.subject,
+                row.state,
+                row.error or row.message or "",
+                host or "",
+                frames.is_dir(),
+                tuple(finished),
+                doubts,
             )
         )
     return found
