@@ -17,7 +17,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, WorkerRow
 from sms_jobs.jobs.planning.chosen import named
-from sms_jobs.jobs.planning.estimates import estimate, pace
+from sms_jobs.jobs.planning.estimates import ends, estimate, pace
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.running import queues, recovery
@@ -167,6 +167,29 @@ def test_a_running_job_counts_with_what_is_left_of_it(catalogue: Catalogue) -> N
     assert told(catalogue, ids, NOW + timedelta(seconds=1)).seconds == SECONDS["simulate"] - 1.0
     # It takes longer than any before: then half of it needs as long as the first half did.
     assert told(catalogue, ids, NOW + timedelta(seconds=30)).seconds == 30.0
+
+
+def test_each_running_job_has_an_end_as_far_as_it_can_be_told(catalogue: Catalogue) -> None:
+    def ends_at(seconds: float, at_most: int = 9) -> dict[str, datetime]:
+        with catalogue.reading() as session:
+            return ends(session, NOW + timedelta(seconds=seconds), at_most)
+
+    assert ends_at(0.0) == {}
+    add_campaign(catalogue, "plate")
+    first, second = submitted(catalogue, "plate", "simulate")
+    with catalogue.writing() as session:
+        for after, (job, progress) in enumerate({first: 0.5, second: 0.0}.items()):
+            began = NOW + timedelta(seconds=after)
+            values = {"state": JobState.RUNNING, "started_at": began, "progress": progress}
+            session.execute(update(JobRow).where(JobRow.id == job).values(values))
+    # Such jobs never ended here: of the one that says how far it has come it is known, of the other not.
+    assert ends_at(10.0) == {first: NOW + timedelta(seconds=20)}
+    assert ends_at(10.0, at_most=1) == {}
+    submitted(catalogue, "plate", "simulate")
+    let_all_succeed(catalogue, {"simulate": 30.0})
+    assert ends_at(10.0) == {
+        job: NOW + timedelta(seconds=30 + after) for after, job in enumerate((first, second))
+    }
 
 
 def test_who_could_run_them_is_said(catalogue: Catalogue) -> None:

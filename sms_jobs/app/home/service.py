@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sms_jobs.workers.supervisor import Supervisor
 
 _SHOWN_FOR = timedelta(minutes=5)
+_MOST_RUNNING = 200
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Status:
         Those that are alive.
     outlook
         How the jobs that have not ended come along; None where there are none.
+    ends_at
+        When those that run will have ended, by id, as far as it can be told.
     planned
         The recording that comes next of each plan.
     """
@@ -60,6 +63,7 @@ class Status:
     jobs: dict[str, int]
     workers: tuple[WorkerView, ...]
     outlook: Outlook | None
+    ends_at: dict[str, datetime]
     planned: tuple[PlannedRecording, ...]
 
 
@@ -70,7 +74,7 @@ def status(services: Services) -> Status:
         # Among a million jobs counting is most of the work: it is done once.
         counted = inquiry.counts(session)
         active = inquiry.still_active(counted)
-        ahead = _outlook(session, services.settings.workers) if active else None
+        ahead, ends_at = _ahead(session, services.settings.workers) if active else (None, {})
         return Status(
             services.settings.home,
             services.catalogue.describe(),
@@ -80,15 +84,18 @@ def status(services: Services) -> Status:
             counted,
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
+            ends_at,
             tuple(one for one in planned_recordings.shown(session, datetime.now(UTC)) if one.is_next),
         )
 
 
-def _outlook(session: Session, workers: int) -> Outlook:
+def _ahead(session: Session, workers: int) -> tuple[Outlook, dict[str, datetime]]:
     # To estimate takes more than all else here, and there are jobs only while somebody works.
-    from sms_jobs.jobs.planning.estimates import outlook
+    from sms_jobs.jobs.planning.estimates import ends, outlook
 
-    return outlook(session, of_campaign(session, None), workers)
+    return outlook(session, of_campaign(session, None), workers), ends(
+        session, datetime.now(UTC), _MOST_RUNNING
+    )
 
 
 @use_case(Right.ADMINISTER)

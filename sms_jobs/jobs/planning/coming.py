@@ -101,6 +101,17 @@ def coming(session: Session, chosen: Chosen) -> Graph | Sample:
     return _closed(session, jobs, _edges(session, before), requested)
 
 
+def running(session: Session, at_most: int) -> Graph:
+    """Return jobs that run, those that began last, and what they still need."""
+    began_last = select(JobRow.id).where(JobRow.state == JobState.RUNNING).order_by(JobRow.started_at.desc())
+    ids = session.scalars(began_last.limit(at_most)).all()
+    if not ids:
+        return Graph((), {}, frozenset())
+    these = JobRow.id.in_(ids)
+    jobs = [_coming(row) for row in session.execute(_query(these).where(these))]
+    return _closed(session, jobs, _edges(session, these), these)
+
+
 def coming_with(session: Session, planned: Draft) -> Graph | Sample:
     """Return jobs that are about to be submitted, and the active ones that come before them."""
     rows = planned.of(JobRow)

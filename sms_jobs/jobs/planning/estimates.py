@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import JobRow, QueueRow, WorkerRow
 from sms_jobs.jobs.planning.chosen import Chosen
-from sms_jobs.jobs.planning.coming import Coming, Graph, Sample, coming, coming_with
+from sms_jobs.jobs.planning.coming import Coming, Graph, Sample, coming, coming_with, running
 from sms_jobs.jobs.planning.foreseen import foreseen_reuse
 from sms_jobs.jobs.planning.history import History
 from sms_jobs.jobs.planning.makespan import Places, Task, makespan, shared
@@ -146,6 +146,16 @@ def outlook(session: Session, chosen: Chosen, workers: int) -> Outlook:
     """Return how some jobs come along; `workers` are counted on where none is alive."""
     now = datetime.now(UTC)
     return Outlook(pace(session, chosen, now), estimate(session, chosen, now, workers))
+
+
+def ends(session: Session, now: datetime, at_most: int) -> dict[str, datetime]:
+    """Return when the jobs that run will have ended, by id; without those of which nothing tells."""
+    work = running(session, at_most)
+    if not work.jobs:
+        return {}
+    history = History(session, _workers(session, now)[1], work.by_frames, work.jobs)
+    left = {job.id: _left(job, history.seconds(job), now) for job in work.jobs if job.requested}
+    return {name: now + timedelta(seconds=seconds) for name, seconds in left.items() if seconds is not None}
 
 
 def pace(session: Session, chosen: Chosen, now: datetime) -> float | None:
