@@ -103,7 +103,8 @@ def _distance_from_rays(cameras: list[Camera], found: list[GridMatches], threads
         good = one.matches.ending == CONVERGED
         pixels = np.stack([one.x[good], one.y[good]]).astype(np.float64)
         sigma = one.matches.sigma[good].T[None]
-        met = meet_rays(cameras[0], [partner], pixels, _places(one, good)[None], sigma, threads)
+        places, slopes = _places(one, good)[None], _slopes(one, good)[None]
+        met = meet_rays(cameras[0], [partner], pixels, places, sigma, slopes, threads)
         distance = np.sqrt(met.chi_square * np.mean(sigma[0] ** 2, axis=0))
         if np.isfinite(distance).any():
             worst = max(worst, float(np.nanmedian(distance)))
@@ -114,3 +115,9 @@ def _places(found: GridMatches, chosen: Mask) -> Floats:
     """Return where points were found, (2, n)."""
     at = np.stack([found.x[chosen], found.y[chosen]])
     return np.asarray(at + found.matches.warp[chosen][:, [0, 3]].T)
+
+
+def _slopes(found: GridMatches, chosen: Mask) -> Floats:
+    """Return how places change with the point, (2, 2, n)."""
+    by_place = found.matches.warp[chosen][:, [1, 2, 4, 5]].T.reshape(2, 2, -1)
+    return np.asarray(by_place + np.eye(2)[..., None])

@@ -192,7 +192,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     epipolar = refuse_far_from_rays(
         inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
     )
-    field = _points(reference, partners, spread, inputs.threads)
+    field = _points(reference, partners, spread, parameters.subset_radius_px, inputs.threads)
     resolution = resolution_of_matches(
         parameters.subset_radius_px,
         cast(ShapeOrder, parameters.shape_order),
@@ -341,14 +341,39 @@ def _spread(
 
 
 def _points(
-    reference: TexturedCamera, partners: list[TexturedCamera], spread: list[_Spread], threads: int
+    reference: TexturedCamera,
+    partners: list[TexturedCamera],
+    spread: list[_Spread],
+    lever_px: int,
+    threads: int,
 ) -> SeenPoints:
-    """Return the point of each pixel."""
+    """Return the point of each pixel; slopes of places are taken between pixels `lever_px` to either side."""
     pixels = pixel_grid(*reference.texture.shape).reshape(-1, 2).T
     places = np.stack([one.place.reshape(2, -1) for one in spread])
     sigma = np.stack([np.sqrt(one.variance).reshape(2, -1) for one in spread])
     cameras = [partner.camera for partner in partners]
-    return meet_rays(reference.camera, cameras, pixels, places, sigma, threads)
+    slopes = np.stack([_slopes(one.place, lever_px).reshape(2, 2, -1) for one in spread])
+    return meet_rays(reference.camera, cameras, pixels, places, sigma, slopes, threads)
+
+
+def _slopes(place: Floats, lever_px: int) -> Floats:
+    """Return how places (2, rows, columns) change with the pixel, (2, 2, rows, columns): by x, then by y.
+
+    Taken between the pixels `lever_px` to either side, or from one side where the other has no place; NaN
+    where neither has.
+    """
+    slopes = np.full((2, 2, *place.shape[1:]), np.nan)
+    for axis in range(2):
+        padding = [(0, 0), (0, 0), (0, 0)]
+        padding[2 - axis] = (lever_px, lever_px)
+        wide = np.pad(place, padding, constant_values=np.nan)
+        ahead, behind = (np.roll(wide, step, axis=2 - axis) for step in (-lever_px, lever_px))
+        inside = tuple(slice(low, -high or None) for low, high in padding)
+        ahead, behind = ahead[inside], behind[inside]
+        ends = (ahead - behind) / (2 * lever_px), (ahead - place) / lever_px, (place - behind) / lever_px
+        for one in ends:
+            slopes[:, axis] = np.where(np.isnan(slopes[:, axis]), one, slopes[:, axis])
+    return slopes
 
 
 def _held_against_the_images(surface: Surface, spread: list[_Spread]) -> Surface:
@@ -436,7 +461,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=13,
+    version=14,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -151,7 +151,7 @@ def _solved(
 def _meet_block(
     start: int, stop: int, reference: tuple[Floats, Floats, Floats],
     turns: Floats, shifts: Floats, pin_holes: Floats, lenses: Floats,
-    pixels: Floats, places: Floats, sigma: Floats,
+    pixels: Floats, places: Floats, sigma: Floats, slopes: Floats,
     xyz: Floats, covariance: Floats, gap: Floats, chi_square: Floats, freedom: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Do the work of `meet_rays` for points start .. stop.
@@ -184,22 +184,23 @@ def _meet_block(
             for k in range(len(lenses)):
                 if not _is_seen(places, sigma, k, i):
                     continue
-                ray0 = d[0] + a * across[0] + b * down[0]
-                ray1 = d[1] + a * across[1] + b * down[1]
-                ray2 = d[2] + a * across[2] + b * down[2]
                 if not _seen_from(
                     turns[k], shifts[k], lenses[k],
-                    centre[0] + depth * ray0, centre[1] + depth * ray1, centre[2] + depth * ray2, seen,
+                    centre[0] + depth * d[0], centre[1] + depth * d[1], centre[2] + depth * d[2], seen,
                 ):  # fmt: skip
                     chi = np.nan
                     break
                 for axis in range(2):
                     j = 2 + 3 * axis
-                    by_z = seen[j] * ray0 + seen[j + 1] * ray1 + seen[j + 2] * ray2
-                    by_a = depth * (seen[j] * across[0] + seen[j + 1] * across[1] + seen[j + 2] * across[2])
-                    by_b = depth * (seen[j] * down[0] + seen[j + 1] * down[1] + seen[j + 2] * down[2])
+                    by_z = seen[j] * d[0] + seen[j + 1] * d[1] + seen[j + 2] * d[2]
+                    by_a, by_b = slopes[k, axis, 0, i], slopes[k, axis, 1, i]
+                    if not (np.isfinite(by_a) and np.isfinite(by_b)):
+                        by_a = depth * (
+                            seen[j] * across[0] + seen[j + 1] * across[1] + seen[j + 2] * across[2]
+                        )
+                        by_b = depth * (seen[j] * down[0] + seen[j + 1] * down[1] + seen[j + 2] * down[2])
                     weight = 2.0 / sigma[k, axis, i] ** 2
-                    off = places[k, axis, i] - seen[axis]
+                    off = places[k, axis, i] - seen[axis] - a * by_a - b * by_b
                     chi += weight * off * off
                     ra += weight * off * by_a
                     rb += weight * off * by_b
@@ -230,6 +231,7 @@ def meet_rays(
     pixels: Floats,
     places: Floats,
     sigma: Floats,
+    slopes: Floats | None = None,
     threads: int = 1,
 ) -> SeenPoints:
     """Find the points of pixels of a reference camera from where partners see them.
@@ -243,6 +245,10 @@ def meet_rays(
     places, sigma
         (partners, 2, n), where each partner sees them and the standard deviations of the matches, in px;
         NaN where it does not.
+    slopes
+        (partners, 2, 2, n), how places change along the surface with the pixel: dx'/dx, dx'/dy in the first
+        row, dy'/dx, dy'/dy in the second. Where they are NaN, or None, the surface is taken to face the
+        reference camera.
     threads
         How many threads to use; the result does not depend on it.
 
@@ -251,8 +257,8 @@ def meet_rays(
     Least squares in the images, with distortion where it is: no image is resampled. A match's variance is
     half of the reference image and half of the partner's. The former moves the matches of all partners alike,
     and is estimated with the depth, so that the covariance of a depth from three cameras is not that of
-    independent pairs. The point is taken on the pixel's own ray, which is free of noise, being named by its
-    pixel.
+    independent pairs; how far it moves them depends on the surface's tilt, which `slopes` tell. The point is
+    taken on the pixel's own ray, which is free of noise, being named by its pixel.
     """
     count = pixels.shape[1]
     result = SeenPoints(
@@ -267,11 +273,15 @@ def meet_rays(
     shifts = np.array([camera.pose.translation for camera in partners])
     pin_holes = np.stack([camera.pose.centre() for camera in partners])
     lenses = np.stack([camera.intrinsics.vector() for camera in partners])
-    at, seen, spread = (np.ascontiguousarray(a, dtype=np.float64) for a in (pixels, places, sigma))
+    if slopes is None:
+        slopes = np.broadcast_to(np.nan, (len(partners), 2, 2, count))
+    at, seen, spread, along = (
+        np.ascontiguousarray(a, dtype=np.float64) for a in (pixels, places, sigma, slopes)
+    )
 
     def work(start: int, stop: int) -> None:
         _meet_block(
-            start, stop, own, turns, shifts, pin_holes, lenses, at, seen, spread,
+            start, stop, own, turns, shifts, pin_holes, lenses, at, seen, spread, along,
             result.xyz, result.covariance, result.ray_gap, result.chi_square, result.freedom,
         )  # fmt: skip
 

@@ -57,6 +57,38 @@ def test_points_scatter_as_their_covariance_says(count: int) -> None:
     assert np.mean(met.chi_square) == pytest.approx(freedom, abs=4.0 * np.sqrt(2.0 * freedom / 4000.0))
 
 
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("tilt", [-0.9, 0.9, 1.5])
+def test_points_of_a_tilted_surface_scatter_as_their_covariance_says(count: int, tilt: float) -> None:
+    """What the reference image is wrong by moves the matches along the surface, wherever that leads."""
+    (reference, *partners), pixels, _ = in_images(points(1), count)
+    normal = np.array([np.sin(tilt), 0.3, -np.cos(tilt)])
+    at = ray_directions(reference.intrinsics, reference.pose, pixels.T)[0] * 610.0 + reference.pose.centre()
+
+    def places(own: Floats) -> Floats:
+        """Return where partners see the points of a plane that the reference camera sees in pixels (2, n)."""
+        rays = ray_directions(reference.intrinsics, reference.pose, own.T)
+        along = (at - reference.pose.centre()) @ normal / (rays @ normal)
+        world = reference.pose.centre() + along[:, None] * rays
+        return np.stack([project(one.intrinsics, one.pose, world).T for one in partners])
+
+    step = 0.5
+    sides = [places(pixels + step * one[:, None]) - places(pixels - step * one[:, None]) for one in np.eye(2)]
+    slopes = np.stack(sides, axis=2) / (2.0 * step)
+    draws = 4000
+    random = np.random.default_rng(11)
+    noisy = places(pixels + random.normal(0.0, SIGMA / np.sqrt(2.0), (2, draws)))
+    noisy += random.normal(0.0, SIGMA / np.sqrt(2.0), noisy.shape)
+    sigma, many = np.full_like(noisy, SIGMA), np.repeat(pixels, draws, axis=1)
+    met = meet_rays(reference, partners, many, noisy, sigma, np.repeat(slopes, draws, axis=3))
+    variance = met.covariance[[0, 3, 5]].sum(axis=0)
+    score = np.sum((met.xyz.T - at) ** 2, axis=1) / variance
+    # A chi-square law of one degree of freedom, four thousand times: its mean scatters by sqrt(2 / 4000).
+    assert np.mean(score) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / draws))
+    freedom = 2 * (count - 1) - 1
+    assert np.mean(met.chi_square) == pytest.approx(freedom, abs=4.0 * np.sqrt(2.0 * freedom / draws))
+
+
 def test_a_third_camera_halves_nothing_that_it_shares() -> None:
     """The third camera sees the depth by twice the angle; what the reference image is wrong by stays."""
     world = points(50)
