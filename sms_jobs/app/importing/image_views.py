@@ -188,6 +188,27 @@ def of_calibrated_size(
     return checked
 
 
+def with_their_partners(inspected: Sequence[Inspected], campaign: Campaign) -> list[Inspected]:
+    """Add a fault to images of states of which a camera that measures together with others has a fault."""
+    together = cameras_together(campaign)
+    refused: dict[str, list[str]] = {}
+    for one in inspected:
+        if one.found.view in together and one.found.faults:
+            refused.setdefault(one.found.state, []).append(one.found.view)
+
+    def checked(one: Inspected) -> Inspected:
+        others = refused.get(one.found.state)
+        if others is None or one.found.view not in together or one.found.faults:
+            return one
+        fault = (
+            f"nothing of state {one.found.state} is taken, for its image of {' and '.join(others)} has a "
+            "fault: mend that, or leave the state out"
+        )
+        return replace(one, found=replace(one.found, faults=(fault,)))
+
+    return list(map(checked, inspected))
+
+
 def without_calibration(
     inspected: Sequence[Inspected],
     campaign: Campaign,
@@ -201,7 +222,10 @@ def without_calibration(
         for one in inspected
         if one.found.view in together and not one.found.faults
     ]
-    if not times or held_at(used, min(times)) is not None:
+    held = held_at(used, min(times)) if times else None
+    if held is not None:
+        return tuple(_strange(name, campaign, held) for name in together if name not in held.sizes)
+    if not times:
         return ()
     shape = f"{', '.join(campaign.shape_views)} of campaign {campaign.name}"
     if not used:
@@ -216,3 +240,12 @@ def without_calibration(
             f"bring in an earlier one, for {shape} measures nothing without"
         )
     return (words,)
+
+
+def _strange(camera: str, campaign: Campaign, held: Held) -> str:
+    """Say that a calibration does not have a camera that measures together with others."""
+    views = ", ".join(view for view in campaign.shape_views if camera in view_of(view).sensors)
+    return (
+        f"calibration {held.number} of rig {campaign.rig} has no camera {camera}, without which {views} of "
+        f"campaign {campaign.name} measures nothing: it has {', '.join(held.sizes)}"
+    )

@@ -25,6 +25,7 @@ from sms_jobs.app.importing.image_views import (
     of_whole_states,
     views_asked_for,
     views_of_all,
+    with_their_partners,
     without_calibration,
 )
 from sms_jobs.app.importing.outcomes import Outcome, existing_campaign
@@ -167,7 +168,7 @@ def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) ->
     """
     inspected = inspect_images(found.listing, found.arrangement, found.settings, tell)
     calibrated = (found.definition, found.calibrations, how.recorded_at)
-    inspected = of_calibrated_size(inspected, *calibrated)
+    inspected = with_their_partners(of_calibrated_size(inspected, *calibrated), found.definition)
     good = [one for one in inspected if not one.found.faults]
     if good and not how.dry_run:
         make_campaign(services, found.existing, found.definition)

@@ -206,8 +206,10 @@ def test_two_images_of_one_camera_and_state_are_refused(home: Path, folder: Path
         (folder / "first").mkdir(exist_ok=True)
         file.rename(folder / "first" / file.name)
     told = images(folder, home, "--cameras", CAMERAS, "--pattern", "*/{camera}_{state}.png", code=FINDINGS)
-    assert [one for one in outcomes(told) if one[2] == "refused"] == [("1", "C1", "refused")]
-    assert "are of one state and camera" in told["tuples"][2]["detail"]
+    refused = [t for t in told["tuples"] if t["outcome"] == "refused"]
+    assert [(t["state"], t["view"]) for t in refused] == [("1", "C1"), ("1", "C2")]
+    assert "are of one state and camera" in refused[0]["detail"]
+    assert "nothing of state 1 is taken, for its image of C1 has a fault" in refused[1]["detail"]
 
 
 def test_sizes_are_those_that_are_calibrated(home: Path, folder: Path, rng: np.random.Generator) -> None:
@@ -216,15 +218,24 @@ def test_sizes_are_those_that_are_calibrated(home: Path, folder: Path, rng: np.r
     assert not any("calibration" in remark for remark in told["remarks"])
     save(folder, rng.integers(0, 256, (3, ROWS, COLUMNS + 2)), "right_{}.png")
     told = images(folder, home, "--cameras", CAMERAS, "--rig", "rig", name="wide", code=FINDINGS)
-    refused = [t for t in told["tuples"] if t["outcome"] == "refused"]
-    assert [t["view"] for t in refused] == ["C2"] * 3
+    refused = {view: [t["detail"] for t in told["tuples"] if t["view"] == view] for view in ("C1", "C2")}
     words = "it has 26 x 18 px, and calibration 1 of rig rig is of C2 with 24 x 18"
-    assert all(words in t["detail"] for t in refused)
+    assert [words in detail for detail in refused["C2"]] == [True] * 3
+    assert ["its image of C2 has a fault" in detail for detail in refused["C1"]] == [True] * 3
+    assert {outcome for *_, outcome in outcomes(told)} == {"refused"}
     # Alone they need no calibration; before it began there is none.
     images(folder, home, "--cameras", CAMERAS, "--rig", "rig", "--alone", "--dry-run", name="other")
     early = ("--recorded-at", "2020-06-01T00:00:00Z", "--dry-run")
     told = images(folder, home, "--cameras", CAMERAS, "--rig", "rig", *early, name="other")
     assert any("valid from 2021-01-01" in remark for remark in told["remarks"])
+
+
+def test_a_camera_that_is_not_calibrated_is_named(home: Path, folder: Path) -> None:
+    calibrate(home, camera("C1", -10.0), camera("C3", 10.0))
+    told = images(folder, home, "--cameras", CAMERAS, "--rig", "rig")
+    words = "calibration 1 of rig rig has no camera C2, without which C1C2 of campaign panel measures nothing"
+    assert [words in remark for remark in told["remarks"]].count(True) == 1
+    assert {outcome for *_, outcome in outcomes(told)} == {"imported"}
 
 
 def test_of_many_cameras_those_pairs_measure_that_see_a_thing_together(
