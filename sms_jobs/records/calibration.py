@@ -16,6 +16,17 @@ from sms_jobs.records.sensors import Sensor
 
 
 @dataclass(frozen=True)
+class Signed:
+    """Who has decided something, and why; empty where nobody has a name, and where nobody was asked."""
+
+    by: str = ""
+    reason: str = ""
+
+
+NOBODY = Signed()
+
+
+@dataclass(frozen=True)
 class Acceptance:
     """A decision whether a calibration is used: for its rig, or for one campaign alone.
 
@@ -29,12 +40,15 @@ class Acceptance:
         The only campaign that it is used for; None for all of the rig that have none of their own.
     in_use
         False to use it no longer.
+    signed
+        Who has decided it.
     """
 
     rig: str
     calibration: str
     campaign: str | None = None
     in_use: bool = True
+    signed: Signed = NOBODY
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.jobs.portable import packing, unpacking
 from sms_jobs.jobs.portable.packing import PackOptions
 from sms_jobs.jobs.running import recovery
+from sms_jobs.records.calibration import Signed
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
@@ -301,11 +302,17 @@ def test_a_calibration_waits_until_it_is_accepted(
     assert acceptances.accept(catalogue, archive, 2, None, clock(), in_use=False)
     assert stale(catalogue, jobs, clock) == []
     # For one campaign alone it takes the place of all of its rig.
-    assert acceptances.accept(catalogue, archive, 2, "real", clock())
+    why = Signed("ada", "its own session")
+    assert acceptances.accept(catalogue, archive, 2, "real", clock(), signed=why)
     assert len(stale(catalogue, jobs, clock)) == 1
-    before = everything(catalogue)["acceptances"]
+    before, known = everything(catalogue)["acceptances"], acceptances.about(catalogue, archive, 2)
+    assert [(d.campaign, d.in_use, d.by, d.reason) for d in known] == [
+        (None, False, "", ""),
+        ("real", True, "ada", "its own session"),
+    ]
     rebuilt(catalogue, archive)
     assert everything(catalogue)["acceptances"] == before
+    assert acceptances.about(catalogue, archive, 2) == known
 
 
 def test_other_sensors_are_refused(catalogue: Catalogue, archive: Archive, clock: Clock) -> None:

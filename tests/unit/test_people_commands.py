@@ -23,6 +23,8 @@ from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
 from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.errors import NotAllowed
+from sms_jobs.jobs.archiving.registration import register_calibration
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 ME = pwd.getpwuid(os.getuid()).pw_name
 MINE, OTHER = "correct horse battery", "staple of the hall"
@@ -114,6 +116,19 @@ def test_what_calibration_is_used_asks_for_the_password(made: Path, decided: lis
     assert (code, "--password-stdin" in said) == (8, True)
     assert run(made, *words, "--password-stdin", given=f"{OTHER}\n")[0] == 8
     assert run(made, *words, "--password-stdin", given=f"{MINE}\n")[0] == 3
+
+
+def test_a_decision_about_a_calibration_keeps_who_made_it_and_why(made: Path) -> None:
+    add_me(made, "metrologist")
+    with bootstrap.services(made) as services:
+        calibration, _ = small_plate("plate")
+        register_calibration(services.catalogue, services.archive, calibration, calibration.valid_from)
+    words = ["calibration", "withdraw", "1", "--reason", "the stand was hit", "--password-stdin"]
+    assert run(made, *words, given=f"{MINE}\n")[0] == 0
+    (decision,) = asked(made, "calibration", "show", "1")["decisions"]
+    assert (decision["by"], decision["reason"]) == (ME, "the stand was hit")
+    shown = inside("calibration", "show", "1", "--home", str(made)).stdout
+    assert re.search(rf"withdrawn for its rig .* by {re.escape(ME)}: the stand was hit", shown)
 
 
 def test_a_token_is_shown_once_and_lets_in_until_it_is_revoked(made: Path) -> None:

@@ -10,12 +10,12 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Box, Sensor
-from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.shown.files import DecisionView, FileView
 
 
 @dataclass(frozen=True)
 class Overview:
-    """A calibration and what it is worth; None for one that was brought in."""
+    """A calibration, what it is worth (None for one that was brought in), and what was decided about it."""
 
     calibration: int
     rig: str
@@ -25,11 +25,14 @@ class Overview:
     sensors: tuple[Sensor, ...]
     volume: Box
     worth: Worth | None
+    decisions: tuple[DecisionView, ...]
 
 
 @use_case(Right.READ)
 def overview(services: Services, number: int) -> Overview:
     """Return a calibration in numbers, without its samples; raises as `show` does."""
+    from sms_jobs.jobs.archiving import acceptances
+
     known = show(services, number)
     made, quality = known.calibration, known.quality
     worth = None if quality is None else worth_of(quality)
@@ -42,6 +45,7 @@ def overview(services: Services, number: int) -> Overview:
         made.rig.sensors,
         made.volume,
         worth,
+        tuple(acceptances.about(services.catalogue, services.archive, number)),
     )
 
 

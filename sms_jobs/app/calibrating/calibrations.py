@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from sms_jobs.jobs.archiving.calibrations import CalibrationCheck, KnownCalibration
     from sms_jobs.jobs.archiving.registration import Registered
     from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison
-    from sms_jobs.records.calibration import CalibrationQuality
+    from sms_jobs.records.calibration import CalibrationQuality, Signed
     from sms_jobs.records.sensors import Calibration, Sensor
     from sms_jobs.records.supplements import Supplement
 
@@ -169,8 +169,15 @@ def certify(
             valid_from,
             datetime.now(UTC),
             despite_warnings=despite_warnings,
+            signed=_signed(services),
         )
     )
+
+
+def _signed(services: Services) -> Signed:
+    from sms_jobs.records.calibration import Signed
+
+    return Signed(services.actor.name, services.actor.reason)
 
 
 @dataclass(frozen=True)
@@ -262,7 +269,13 @@ def decide(services: Services, number: int, campaign: str | None, *, in_use: boo
     from sms_jobs.jobs.archiving import acceptances
 
     new = acceptances.accept(
-        services.catalogue, services.archive, number, campaign, datetime.now(UTC), in_use=in_use
+        services.catalogue,
+        services.archive,
+        number,
+        campaign,
+        datetime.now(UTC),
+        in_use=in_use,
+        signed=_signed(services),
     )
     with services.catalogue.reading() as session:
         return Decision(search.calibration_view(session, number), new)
@@ -358,6 +371,10 @@ def import_files(services: Services, files: Sequence[Path], given: Supplement) -
 
     found = read_calibration(files, given)
     registered = register_calibration(
-        services.catalogue, services.archive, found.calibration, datetime.now(UTC)
+        services.catalogue,
+        services.archive,
+        found.calibration,
+        datetime.now(UTC),
+        signed=_signed(services),
     )
     return Imported(registered, found.calibration, found.remarks)

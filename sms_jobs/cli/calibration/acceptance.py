@@ -13,7 +13,7 @@ from sms_jobs.app.calibrating.calibrations import Decision
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.asking import PasswordStdin, Reason, because, confirming
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.shown.files import CalibrationView
+from sms_jobs.records.shown.files import CalibrationView, DecisionView
 
 Number = Annotated[int, typer.Argument(help="Number of a calibration; see 'sms calibration list'.")]
 Of = Annotated[
@@ -88,6 +88,14 @@ def _tell(done: Decision, campaign: str | None, as_json: bool, *, in_use: bool) 
     else:
         said = f"is not used for {whom}"
     output.say(f"calibration {view.id} {said}" + ("" if done.new else ", as before"))
+
+
+def in_words(one: DecisionView) -> tuple[str, str]:
+    """Say in words what was decided about a calibration: for whom, and by whom."""
+    whom = f"campaign {one.campaign}" if one.campaign else "its rig"
+    who = "".join((f" by {one.by}" if one.by else "", f": {one.reason}" if one.reason else ""))
+    done = "accepted" if one.in_use else "withdrawn"
+    return f"{done} for {whom}", f"{output.shown(one.at)}{who}"
 
 
 def used_for(view: CalibrationView) -> str:

@@ -18,7 +18,7 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.times import parsed_time
 
 if TYPE_CHECKING:
-    from sms_jobs.records.sensors import Calibration
+    from sms_jobs.records.sensors import Box
 
 app = typer.Typer(help="Calibrations of rigs.", no_args_is_help=True)
 app.add_typer(system_test.app, name="test")
@@ -62,37 +62,39 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms calibration show 1
     """
+    from sms_jobs.app.calibrating import calibration_worth
+
     with bootstrap.services(home) as services:
-        known = calibrations.show(services, number)
-    calibration = known.calibration
-    judged = None if known.quality is None else calibrations.worth_of(known.quality)
-    worth = {} if judged is None else _worth(calibration, judged)
+        known = calibration_worth.overview(services, number)
+    worth = {} if known.worth is None else _worth(known.volume, known.worth)
     if as_json:
         output.print_json(
             {
                 "calibration": number,
-                "rig": calibration.rig.name,
-                "valid_from": calibration.valid_from,
-                "origin": calibration.origin,
+                "rig": known.rig,
+                "valid_from": known.valid_from,
+                "origin": known.origin,
                 "path": known.path,
-                "sensors": calibration.rig.sensors,
-                "volume": calibration.volume,
+                "sensors": known.sensors,
+                "volume": known.volume,
                 "quality": worth or None,
+                "decisions": known.decisions,
             }
         )
         return
     output.print_facts(
         {
             "calibration": number,
-            "rig": calibration.rig.name,
-            "valid from": calibration.valid_from,
-            "origin": calibration.origin,
-            "volume diagonal [mm]": calibration.volume.diagonal_mm,
+            "rig": known.rig,
+            "valid from": known.valid_from,
+            "origin": known.origin,
+            **dict(map(acceptance.in_words, known.decisions)),
+            "volume diagonal [mm]": known.volume.diagonal_mm,
             **worth,
             "file": known.path,
         }
     )
-    names = calibrations.distortion(calibration.rig.sensors)
+    names = calibrations.distortion(known.sensors)
     output.print_table(
         ["sensor", "px", "fx, fy [px]", "cx, cy [px]", ", ".join(names), "pin-hole [mm]"],
         [
@@ -104,25 +106,23 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
                 ", ".join(f"{getattr(s.intrinsics, name):g}" for name in names),
                 ", ".join(f"{x:.2f}" for x in s.pose.centre()),
             )
-            for s in calibration.rig.sensors
+            for s in known.sensors
         ],
         empty="",
     )
 
 
-def _worth(calibration: Calibration, worth: Worth) -> dict[str, str | float | int]:
+def _worth(volume: Box, worth: Worth) -> dict[str, str | float | int]:
     """Return the few numbers by which a calibration is judged."""
     told: dict[str, str | float | int] = {"world": worth.gauge, "warnings": len(worth.warnings)}
     if worth.scale:
         told["scale"] = worth.scale
     if worth.shape_sigma_mm:
-        told["shape, scale apart, of the diagonal"] = (
-            f"1/{calibration.volume.diagonal_mm / worth.shape_sigma_mm:,.0f}"
-        )
+        told["shape, scale apart, of the diagonal"] = f"1/{volume.diagonal_mm / worth.shape_sigma_mm:,.0f}"
     told |= {name: float(f"{value:.4g}") for name, value in worth.found.items()}
     if (held_out := worth.held_out_bar_rms_mm) is not None:
         told["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
-        told["of the volume's diagonal"] = f"1/{calibration.volume.diagonal_mm / held_out:,.0f}"
+        told["of the volume's diagonal"] = f"1/{volume.diagonal_mm / held_out:,.0f}"
     if worth.expected_median_mm is not None and worth.expected_largest_mm is not None:
         told["expected deviation of a point, median [um]"] = round(1e3 * worth.expected_median_mm, 3)
         told["expected deviation of a point, largest [um]"] = round(1e3 * worth.expected_largest_mm, 3)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, InputReference, Provenance
@@ -19,7 +20,8 @@ from sms_jobs.jobs.archiving import decisions
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE
 from sms_jobs.jobs.archiving.repository import Repository, brought_in
 from sms_jobs.kinds.kind import CALIBRATION
-from sms_jobs.records.calibration import Acceptance
+from sms_jobs.records.calibration import NOBODY, Acceptance, Signed
+from sms_jobs.records.shown.files import DecisionView
 from sms_jobs.records.subject import RESERVED_NAME, Subject
 
 
@@ -37,6 +39,7 @@ def accept(
     now: datetime,
     *,
     in_use: bool = True,
+    signed: Signed = NOBODY,
 ) -> bool:
     """Decide that a calibration is used from now on, or no longer: for its rig, or for one campaign alone.
 
@@ -46,6 +49,8 @@ def accept(
         Of the calibration.
     campaign
         Name of the campaign; None for the rig.
+    signed
+        Who decides it.
 
     Returns
     -------
@@ -62,7 +67,7 @@ def accept(
         view = search.calibration_view(session, number)
         if campaign is not None:
             _refuse_other_rig(session, view.rig, campaign, number)
-        acceptance = Acceptance(view.rig, view.content_hash, campaign, in_use)
+        acceptance = Acceptance(view.rig, view.content_hash, campaign, in_use, signed)
         if decisions.is_made(session, acceptance):
             return False
         last = session.get(AcceptanceRow, (number, campaign or ""))
@@ -71,6 +76,23 @@ def accept(
             now = max(now, last.decided_at + timedelta(microseconds=1))
     provenance = decided(acceptance, view.path, now)
     return Repository(catalogue, archive).put({ACCEPTANCE: acceptance}, provenance).new
+
+
+def about(catalogue: Catalogue, archive: Archive, number: int) -> list[DecisionView]:
+    """Return what was decided last about a calibration, for its rig and for each campaign, by time."""
+    with catalogue.reading() as session:
+        rows = session.execute(
+            select(AcceptanceRow.decided_at, AcceptanceRow.file_id)
+            .where(AcceptanceRow.calibration_id == number)
+            .order_by(AcceptanceRow.decided_at)
+        ).all()
+        files = [(at, search.file_view(session, str(file_id))) for at, file_id in rows]
+    found = []
+    for at, file in files:
+        with archive.open(file) as dataset:
+            made = dataset.read(ACCEPTANCE, Acceptance)
+        found.append(DecisionView(at, made.campaign, made.in_use, made.signed.by, made.signed.reason))
+    return found
 
 
 def _refuse_other_rig(session: Session, rig: str, campaign: str, number: int) -> None:

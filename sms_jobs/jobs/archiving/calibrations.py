@@ -23,7 +23,7 @@ from sms_jobs.kinds.shape.phases import sensor_pair
 from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison, compare_calibrations
 from sms_jobs.metrology.calibration.checking.drift import DriftCheck, DriftOptions, check_drift
 from sms_jobs.metrology.calibration.pair_points import Parameters
-from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.calibration import NOBODY, CalibrationQuality, CalibrationUncertainty, Signed
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
@@ -109,6 +109,7 @@ def certify(
     now: datetime,
     *,
     despite_warnings: bool = False,
+    signed: Signed = NOBODY,
 ) -> tuple[int, bool, Calibration]:
     """Take the calibration that a session gave into use.
 
@@ -120,6 +121,8 @@ def certify(
         From when on it is used; from the session's beginning if None.
     despite_warnings
         Whether a calibration is taken that has warnings.
+    signed
+        Who certifies it.
 
     Returns
     -------
@@ -150,6 +153,7 @@ def certify(
         inputs=(InputReference("session", file.source, file.path, file.content_hash),),
         beside={UNCERTAINTY: found.uncertainty, QUALITY: found.quality},
         accepted=True,
+        signed=signed,
     )
     return known.number, known.new, calibration
 

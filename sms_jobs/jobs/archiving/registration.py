@@ -23,7 +23,7 @@ from sms_jobs.jobs.archiving.repository import Repository, brought_in
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.products import CALIBRATED, Product
-from sms_jobs.records.calibration import Acceptance
+from sms_jobs.records.calibration import NOBODY, Acceptance, Signed
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
 from sms_jobs.records.subject import RESERVED_NAME, Subject
 
@@ -94,6 +94,7 @@ def register_calibration(
     inputs: tuple[InputReference, ...] = (),
     beside: Mapping[Product[Any], Any] | None = None,
     accepted: bool = False,
+    signed: Signed = NOBODY,
 ) -> Registered:
     """Add a calibration of a rig: one that was made elsewhere, or the result of a session.
 
@@ -108,6 +109,8 @@ def register_calibration(
         Records that are stored with it: its covariance, and what is known of its quality.
     accepted
         Whether it is used for its rig even where that has others.
+    signed
+        Who brings it in.
 
     Raises
     ------
@@ -122,7 +125,7 @@ def register_calibration(
         records = {CALIBRATED.stored_as: calibration, **others}
         made = batch.seal(records, _brought(calibration, now, inputs)).sealed
         if accepted:
-            acceptance = Acceptance(calibration.rig.name, made.content_hash)
+            acceptance = Acceptance(calibration.rig.name, made.content_hash, signed=signed)
             batch.seal({ACCEPTANCE: acceptance}, decided(acceptance, _path(catalogue, made), now))
         kept = batch.enter(lambda session: decisions.refuse_other_sensors(session, calibration.rig))[0]
     with catalogue.reading() as session:

@@ -83,7 +83,7 @@ from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
-from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays
+from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays, slopes_of_places
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.texture_extent import textured_pixels
@@ -341,39 +341,15 @@ def _spread(
 
 
 def _points(
-    reference: TexturedCamera,
-    partners: list[TexturedCamera],
-    spread: list[_Spread],
-    lever_px: int,
-    threads: int,
+    reference: TexturedCamera, partners: list[TexturedCamera], spread: list[_Spread], lever: int, threads: int
 ) -> SeenPoints:
-    """Return the point of each pixel; slopes of places are taken between pixels `lever_px` to either side."""
+    """Return the point of each pixel."""
     pixels = pixel_grid(*reference.texture.shape).reshape(-1, 2).T
     places = np.stack([one.place.reshape(2, -1) for one in spread])
     sigma = np.stack([np.sqrt(one.variance).reshape(2, -1) for one in spread])
-    cameras = [partner.camera for partner in partners]
-    slopes = np.stack([_slopes(one.place, lever_px).reshape(2, 2, -1) for one in spread])
+    slopes = np.stack([slopes_of_places(one.place, lever).reshape(2, 2, -1) for one in spread])
+    cameras = [one.camera for one in partners]
     return meet_rays(reference.camera, cameras, pixels, places, sigma, slopes, threads)
-
-
-def _slopes(place: Floats, lever_px: int) -> Floats:
-    """Return how places (2, rows, columns) change with the pixel, (2, 2, rows, columns): by x, then by y.
-
-    Taken between the pixels `lever_px` to either side, or from one side where the other has no place; NaN
-    where neither has.
-    """
-    slopes = np.full((2, 2, *place.shape[1:]), np.nan)
-    for axis in range(2):
-        padding = [(0, 0), (0, 0), (0, 0)]
-        padding[2 - axis] = (lever_px, lever_px)
-        wide = np.pad(place, padding, constant_values=np.nan)
-        ahead, behind = (np.roll(wide, step, axis=2 - axis) for step in (-lever_px, lever_px))
-        inside = tuple(slice(low, -high or None) for low, high in padding)
-        ahead, behind = ahead[inside], behind[inside]
-        ends = (ahead - behind) / (2 * lever_px), (ahead - place) / lever_px, (place - behind) / lever_px
-        for one in ends:
-            slopes[:, axis] = np.where(np.isnan(slopes[:, axis]), one, slopes[:, axis])
-    return slopes
 
 
 def _held_against_the_images(surface: Surface, spread: list[_Spread]) -> Surface:

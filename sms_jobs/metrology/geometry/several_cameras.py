@@ -289,6 +289,26 @@ def meet_rays(
     return result
 
 
+def slopes_of_places(place: Floats, lever_px: int) -> Floats:
+    """Return how places (2, rows, columns) change with the pixel, (2, 2, rows, columns): by x, then by y.
+
+    Taken between the pixels `lever_px` to either side, or from one side where the other has no place; NaN
+    where neither has.
+    """
+    slopes = np.full((2, 2, *place.shape[1:]), np.nan)
+    for axis in range(2):
+        padding = [(0, 0), (0, 0), (0, 0)]
+        padding[2 - axis] = (lever_px, lever_px)
+        wide = np.pad(place, padding, constant_values=np.nan)
+        ahead, behind = (np.roll(wide, step, axis=2 - axis) for step in (-lever_px, lever_px))
+        inside = tuple(slice(low, -high or None) for low, high in padding)
+        ahead, behind = ahead[inside], behind[inside]
+        ends = (ahead - behind) / (2 * lever_px), (ahead - place) / lever_px, (place - behind) / lever_px
+        for one in ends:
+            slopes[:, axis] = np.where(np.isnan(slopes[:, axis]), one, slopes[:, axis])
+    return slopes
+
+
 def depths_in_box(
     camera: Camera, pixels: Floats, low: tuple[float, float, float], high: tuple[float, float, float]
 ) -> tuple[Floats, Floats, Floats]:

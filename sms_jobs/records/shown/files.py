@@ -103,6 +103,29 @@ class Family:
 
 
 @dataclass(frozen=True)
+class DecisionView:
+    """The last decision about a calibration for its rig, or for one campaign.
+
+    Attributes
+    ----------
+    at
+        When it was made.
+    campaign
+        For which it was; None for the rig.
+    in_use
+        Whether it is used.
+    by, reason
+        Who has decided it, and why; empty where nobody has a name, or gave none.
+    """
+
+    at: datetime
+    campaign: str | None
+    in_use: bool
+    by: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class CalibrationView:
     """One calibration as it is shown."""
 

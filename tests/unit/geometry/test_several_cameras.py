@@ -7,7 +7,12 @@ import pytest
 from support.two_cameras import VOLUME, Floats, cameras
 
 from sms_jobs.metrology.geometry.camera import project, ray_directions
-from sms_jobs.metrology.geometry.several_cameras import depths_in_box, meet_rays, plane_warps
+from sms_jobs.metrology.geometry.several_cameras import (
+    depths_in_box,
+    meet_rays,
+    plane_warps,
+    slopes_of_places,
+)
 
 SIGMA = 0.02
 
@@ -155,3 +160,17 @@ def test_rays_know_where_they_pass_a_box() -> None:
     assert near[0] < far[0]
     assert np.isnan(near[1])
     assert np.isnan(far[1])
+
+
+def test_slopes_of_places_are_exact_of_a_plane_up_to_its_borders() -> None:
+    """Between two sides where there are both, from one where there is one, unknown where there is none."""
+    true = np.array([[1.1, -0.2], [0.05, 0.9]])
+    pixels = np.moveaxis(np.stack(np.meshgrid(np.arange(30.0), np.arange(20.0)), axis=-1), -1, 0)
+    place = np.einsum("ij,jrc->irc", true, pixels) + 3.0
+    place[:, :, 12:16] = np.nan
+    found = slopes_of_places(place, 4)
+    there = np.isfinite(place[0])
+    np.testing.assert_allclose(found[:, :, there] - true[..., None], 0.0, atol=1e-12)
+    alone = np.full((2, 20, 30), np.nan)
+    alone[:, 10, 10] = 5.0
+    assert np.isnan(slopes_of_places(alone, 4)).all()
