@@ -144,6 +144,24 @@ def test_another_site_can_neither_log_in_nor_out(named: httpx2.Client, site: str
         assert (answer.status_code, "Set-Cookie" in answer.headers) == (403, False)
 
 
+@pytest.mark.parametrize("own", [True, False], ids=["of the attacker", "made up"])
+def test_a_session_that_was_planted_never_becomes_that_of_who_logs_in(
+    named: httpx2.Client, own: bool
+) -> None:
+    log_in(named, "viewer")
+    planted = named.cookies["sms_session"] if own else "sms_" + "A" * 43
+    named.cookies.clear()
+    named.cookies.set("sms_session", planted, domain=named.base_url.host, path="/")
+    body = {"name": "administrator", "password": PASSWORD}
+    begun = named.post("/login", data=body, headers={"Sec-Fetch-Site": "same-origin"}).headers["Set-Cookie"]
+    given = begun.partition("=")[2].partition(";")[0]
+    assert given != planted
+    for cookie, status in ((given, 200), (planted, 403 if own else 303)):
+        named.cookies.clear()
+        named.cookies.set("sms_session", cookie, domain=named.base_url.host, path="/")
+        assert named.get("/people").status_code == status, cookie
+
+
 @pytest.mark.parametrize("role", Role)
 def test_what_a_role_may_not_do_is_neither_offered_nor_done(named: httpx2.Client, role: Role) -> None:
     log_in(named, role.value)
