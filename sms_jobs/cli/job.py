@@ -414,8 +414,12 @@ def _tell_waited(waited: Waited, as_json: bool) -> None:
         nothing = {"nothing_valid": {"jobs": empty.count, "latest": empty.latest}} if empty.count else {}
         output.print_json({"jobs": waited.counted} | nothing)
     else:
-        said = [f"{count} {state}" for state, count in waited.counted.items()] or ["there is no such job"]
-        output.say(", ".join(said) + (f", {empty.count} of them with nothing valid" if empty.count else ""))
+        counted = dict(waited.counted)
+        if empty.count:
+            counted[JobState.SUCCEEDED.value] -= empty.count
+            counted["ended with nothing valid"] = empty.count
+        said = ", ".join(f"{count} {state}" for state, count in counted.items() if count)
+        output.say(said or "there is no such job")
         if empty.count:
             output.say(empty.latest)
     waited.require_success()
