@@ -257,6 +257,9 @@ class StrainField:
     ----------
     x_axis
         The vector that is projected, in the frame of the surface; None where nobody has said it.
+    bias
+        What strain is off by that bends within a gauge length; no mean makes it less. None where it has not
+        been looked for.
     """
 
     measure: StrainMeasure
@@ -273,6 +276,13 @@ class StrainField:
     x_axis: Axis | None = None
     resolution_px: float | None = None
     resolution: Singles | None = array(UNIT, _RESOLUTION, default=None)
+    bias: Singles | None = array(
+        "1",
+        "part of sigma that is no noise: strain that bends within the gauge length",
+        VECTOR_IMAGE,
+        STRAIN_COMPONENTS,
+        default=None,
+    )
 
 
 @dataclass(frozen=True)

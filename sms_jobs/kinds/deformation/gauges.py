@@ -29,7 +29,7 @@ from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, GAUGES, RE
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, GaugeValue, read_gauge
-from sms_jobs.metrology.deformation.strain.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.strain.strain_errors import shared_errors
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance
@@ -131,7 +131,7 @@ def read_gauges(
     own, at_rest = covariance_in_space(moved.covariance), independent_covariance(surface)
     found, parts = [], []
     for number, place in enumerate(places, start=1):
-        covariance = independent_equivalent(
+        errors = shared_errors(
             own,
             at_rest,
             bias_in_space(moved),
@@ -144,7 +144,7 @@ def read_gauges(
                 place,
                 position,
                 displacement,
-                turn_covariance(turn, covariance),
+                turn_covariance(turn, errors.every),
                 labels,
                 green_lagrange=green,
             )

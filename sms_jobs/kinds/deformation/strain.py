@@ -31,7 +31,7 @@ from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, 
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.fields.spatial_resolution import strain_resolution
-from sms_jobs.metrology.deformation.strain.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.strain.strain_errors import shared_errors
 from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.campaign import Campaign
@@ -118,7 +118,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
     found = surface_strain(
         position,
         in_space(moved.displacement),
-        independent_equivalent(
+        shared_errors(
             covariance_in_space(moved.covariance),
             independent_covariance(surface),
             bias_in_space(moved),
@@ -145,6 +145,7 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         found.von_mises,
         reason,
         x_axis=inputs.context,
+        bias=found.bias.astype(np.float32),
     )
     if moved.resolution is not None:
         field = _with_resolution(field, moved.resolution, surface, regions.labels, moved.subset_radius_px)
@@ -202,7 +203,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=9,
+    version=10,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.deformation.fields.averaging import average_in_region
-from sms_jobs.metrology.deformation.strain.strain_errors import independent_equivalent
+from sms_jobs.metrology.deformation.strain.strain_errors import shared_errors
 from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 ROWS, COLUMNS, PITCH = 60, 64, 0.5
@@ -169,7 +169,7 @@ def test_averaged_noise_is_seen_through_its_filter(rng: np.random.Generator, gau
         raw = 0.004 * rng.normal(size=xyz.shape)
         moved, averaged = average_in_region(raw, 2.0 * cloud, ALL, ALL > 0, radius)
         trials.append(surface_strain(xyz, moved, averaged, ALL, gauge_length=gauge_mm).strain)
-    equivalent = independent_equivalent(
+    equivalent = shared_errors(
         averaged,
         cloud,
         averaging_radius_px=radius,
@@ -185,10 +185,10 @@ def test_averaged_noise_is_seen_through_its_filter(rng: np.random.Generator, gau
 
 def test_independent_errors_stay_as_they_are(rng: np.random.Generator) -> None:
     covariance = rng.random((6, 4, 4))
-    same = independent_equivalent(
+    same = shared_errors(
         covariance, covariance, averaging_radius_px=0.0, subset_radius_px=0, disc_radius_px=9.0
     )
-    np.testing.assert_array_equal(same, covariance)
+    np.testing.assert_array_equal(same.every, covariance)
 
 
 def test_a_bias_is_counted_as_one_error_of_the_whole_gauge() -> None:
@@ -198,7 +198,7 @@ def test_a_bias_is_counted_as_one_error_of_the_whole_gauge() -> None:
     wrong[0] = amplitude * np.sin(np.pi * xyz[0] / (2.0 * gauge_mm))
     biased = NONE.copy()
     biased[0] = np.mean(wrong[0] ** 2)
-    equivalent = independent_equivalent(
+    equivalent = shared_errors(
         biased,
         NONE,
         biased,

@@ -32,8 +32,16 @@ def test_strain_is_the_true_one_within_its_sigma(plate: Any) -> None:
 
 def test_every_value_is_known_or_has_a_reason(plate: Any) -> None:
     field = plate.results["strain", plate.subject("S01", VIEW)]["strain"]
-    for values in (field.strain, field.sigma, field.principal, field.von_mises[None]):
+    for values in (field.strain, field.sigma, field.bias, field.principal, field.von_mises[None]):
         np.testing.assert_array_equal(np.isfinite(values).all(axis=0), field.reason == Reason.VALID)
+
+
+def test_what_bends_within_the_gauge_is_part_of_sigma(plate: Any) -> None:
+    field = plate.results["strain", plate.subject("S01", VIEW)]["strain"]
+    known = field.reason == Reason.VALID
+    assert (field.bias[:, known] <= field.sigma[:, known]).all()
+    # The plate is stretched evenly: at most points there is noise alone.
+    assert np.median(field.bias[:, known]) < 0.1 * np.median(field.sigma[:, known])
 
 
 def test_the_resolution_on_a_surface_is_that_in_the_image_times_what_a_pixel_covers(plate: Any) -> None:

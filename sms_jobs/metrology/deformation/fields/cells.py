@@ -15,7 +15,8 @@ from sms_jobs.metrology.arrays import Floats
 class Cells:
     """Means over small squares of pixels: weight (n pixels), place in the image, position, displacement.
 
-    `normal` is that of the surface about a square, of length 0 where it is unknown.
+    `tangents` (2, 3, ..) are steps of the surface about a square along columns and rows, and `normal` is its
+    normal; each of length 0 where it is unknown.
     """
 
     side: int
@@ -25,6 +26,7 @@ class Cells:
     xyz: Floats
     displacement: Floats
     covariance: Floats
+    tangents: Floats
     normal: Floats
 
 
@@ -56,6 +58,7 @@ def cell_means(
     row, column = np.mgrid[0:rows, 0:columns]
     own_label = np.where(weight > 0, own, 0).astype(np.int32)
     position = np.stack([mean(component) for component in xyz])
+    tangents = tangents_of(position, own_label)
     return Cells(
         side,
         own_label,
@@ -64,17 +67,19 @@ def cell_means(
         position,
         np.stack([mean(component) for component in displacement]),
         np.stack([mean(component) for component in covariance]),
-        normals_of(position, own_label),
+        tangents,
+        normals_of(tangents),
     )
 
 
-def normals_of(position: Floats, labels: NDArray[np.int32]) -> Floats:
-    """Return unit normals (3, rows, columns) of a surface of cells, 0 where a cell has no two neighbours.
+def tangents_of(position: Floats, labels: NDArray[np.int32]) -> Floats:
+    """Return steps (2, 3, rows, columns) along columns and rows of a surface of cells.
 
-    A tangent is the step between the neighbours on both sides, or from the cell itself to the only one.
+    A tangent is the step between the neighbours on both sides, or from the cell itself to the only one; 0
+    where a cell has none.
     """
     tangents = []
-    for axis in (1, 2):
+    for axis in (2, 1):
         forward, backward = np.roll(position, -1, axis), np.roll(position, 1, axis)
         ahead = (np.roll(labels, -1, axis - 1) == labels) & (labels > 0)
         behind = (np.roll(labels, 1, axis - 1) == labels) & (labels > 0)
@@ -83,6 +88,11 @@ def normals_of(position: Floats, labels: NDArray[np.int32]) -> Floats:
         behind[(*last, 0)] = False
         step = np.where(ahead, forward, position) - np.where(behind, backward, position)
         tangents.append(np.where(ahead | behind, step, 0.0))
-    normal = np.cross(tangents[0], tangents[1], axis=0)
+    return np.stack(tangents)
+
+
+def normals_of(tangents: Floats) -> Floats:
+    """Return unit normals (3, rows, columns) of a surface from its tangents, 0 where a cell has not both."""
+    normal = np.cross(tangents[1], tangents[0], axis=0)
     length = np.linalg.norm(normal, axis=0)
     return np.asarray(np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), 0.0))

@@ -78,7 +78,7 @@ def read_gauge(
         (3, rows, columns) in mm, in the specimen's frame; NaN where there is none.
     covariance
         (6, rows, columns) in mm^2, in that frame, as if independent from pixel to pixel: see
-        `strain_errors.independent_equivalent`.
+        `strain_errors.SharedErrors.every`.
     labels
         (rows, columns); a gauge reads the region that is under its middle.
     green_lagrange

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -12,7 +14,49 @@ from sms_jobs.metrology.geometry.transforms import pack, unpack
 _OF_STRAIN = 0.5  # part of a bias that has the shape of a strain over a gauge disc
 
 
-def independent_equivalent(
+@dataclass(frozen=True)
+class SharedErrors:
+    """Errors of displacement that go together over neighbouring pixels, as a gauge disc sees them.
+
+    Attributes
+    ----------
+    own
+        (6, rows, columns), the covariance by errors of shape and by bias that, independent from pixel to
+        pixel, would disturb strain as the true one does; NaN where there is no displacement.
+    match
+        (6,), the same by errors of the match, everywhere alike.
+    averaging_radius_px, subset_radius_px
+        Distances over which errors of shape and of match go together; 0 for none.
+    disc_radius_px
+        Of the gauge disc.
+    """
+
+    own: Floats
+    match: Floats
+    averaging_radius_px: float
+    subset_radius_px: float
+    disc_radius_px: float
+
+    @property
+    def every(self) -> Floats:
+        """(6, rows, columns), both together."""
+        return self.own + self.match[:, None, None]
+
+    def seen_by_part(self, part: float) -> tuple[float, float]:
+        """Return what a disc of a part of the radius sees of `own` and of `match`, over what this one does.
+
+        Where there is no error of shape all of `own` is bias, which counts by the disc's area.
+        """
+        shape, match = (
+            radius / self.disc_radius_px for radius in (self.averaging_radius_px, self.subset_radius_px)
+        )
+        if part == 1.0 or shape == match == 0.0:
+            return 1.0, 1.0
+        own = seen_of_shape(shape / part) / seen_of_shape(shape) if shape > 0.0 else part**2
+        return own, seen_of_match(match / part) / seen_of_match(match)
+
+
+def shared_errors(
     covariance: NDArray[np.floating],
     cloud_covariance: NDArray[np.floating],
     bias: NDArray[np.floating] | None = None,
@@ -20,8 +64,8 @@ def independent_equivalent(
     averaging_radius_px: float,
     subset_radius_px: float,
     disc_radius_px: float,
-) -> Floats:
-    """Return the covariance that, independent from pixel to pixel, would disturb strain as the true one does.
+) -> SharedErrors:
+    """Return the errors of a displacement as they disturb strain over a gauge disc.
 
     Parameters
     ----------
@@ -45,28 +89,39 @@ def independent_equivalent(
     the whole disc: n pixels disturb the strain as n times its covariance would, independent from pixel to
     pixel, if it has the shape that strain has, and half of that is counted.
     """
+    lengths = (averaging_radius_px, subset_radius_px, disc_radius_px)
     if bias is not None:
-        noise = independent_equivalent(
+        noise = shared_errors(
             covariance - bias,
             cloud_covariance,
             averaging_radius_px=averaging_radius_px,
             subset_radius_px=subset_radius_px,
             disc_radius_px=disc_radius_px,
         )
-        return np.asarray(noise + _OF_STRAIN * np.pi * disc_radius_px**2 * bias)
+        own = noise.own + _OF_STRAIN * np.pi * disc_radius_px**2 * bias
+        return SharedErrors(own, noise.match, *lengths)
     if averaging_radius_px == 0.0 and subset_radius_px == 0.0:
-        return np.asarray(covariance, dtype=np.float64)
+        return SharedErrors(np.asarray(covariance, dtype=np.float64), np.zeros(6), *lengths)
     shape = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)
     averaged = max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
     excess = covariance - shape / averaged
     finite = np.isfinite(excess).all(axis=0)
     match = _positive(np.median(excess[:, finite], axis=1)) if finite.any() else np.zeros(6)
     match *= (2.0 * subset_radius_px + 1.0) ** 2 / 1.39
-    q_shape, q_match = averaging_radius_px / disc_radius_px, subset_radius_px / disc_radius_px
-    shape_part = shape / (1.0 + 0.40 * q_shape + 0.41 * q_shape**2) ** 2
-    match_part = match / (1.0 + 0.25 * q_match + 1.27 * q_match**2) ** 2
-    total = shape_part + match_part[:, None, None]
-    return np.asarray(np.where(np.isfinite(covariance), total, np.nan))
+    own = np.where(
+        np.isfinite(covariance), seen_of_shape(averaging_radius_px / disc_radius_px) * shape, np.nan
+    )
+    return SharedErrors(own, seen_of_match(subset_radius_px / disc_radius_px) * match, *lengths)
+
+
+def seen_of_shape(q: float) -> float:
+    """Return what a disc sees of errors that were averaged over a radius of `q` of its own."""
+    return float((1.0 + 0.40 * q + 0.41 * q**2) ** -2)
+
+
+def seen_of_match(q: float) -> float:
+    """Return what a disc sees of errors that go together over subsets with a radius of `q` of its own."""
+    return float((1.0 + 0.25 * q + 1.27 * q**2) ** -2)
 
 
 def _harmonic_mean(covariance: Floats, radius: float) -> Floats:

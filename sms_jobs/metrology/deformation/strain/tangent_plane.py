@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,31 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.deformation.fields.cells import cell_means
+from sms_jobs.metrology.deformation.fields.cells import Cells, cell_means
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
+from sms_jobs.metrology.deformation.strain.disc_sums import (
+    COVARIANCE,
+    NORMAL,
+    ROWS,
+    SUMS,
+    central_moments,
+    disc_sums,
+    gather,
+    told_of_cells,
+)
+from sms_jobs.metrology.deformation.strain.edge_noise import edges_of, noise_at_edges
+from sms_jobs.metrology.deformation.strain.gauge_bias import (
+    SHORTER,
+    STEPS_TO_A_RADIUS,
+    Samples,
+    gauge_bias,
+    spread_over_pixels,
+)
+from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
+from sms_jobs.metrology.deformation.strain.tangent_frame import tangent_frame
 
 _DISC_CELLS = 8  # cells to a gauge radius, to the nearest whole side: 110 to 350 in a disc
+_BLOCK = 4  # px: squares of this side, or of a cell, look among the same cells
 
 
 @dataclass(frozen=True)
@@ -23,6 +45,8 @@ class SurfaceStrain:
     ----------
     strain, sigma
         (3, rows, columns): xx, yy, xy (tensor component) and their standard deviations.
+    bias
+        (3, rows, columns), the part of these that is no noise: strain that bends within the disc.
     principal
         (2, rows, columns), larger first.
     von_mises
@@ -31,182 +55,9 @@ class SurfaceStrain:
 
     strain: Floats
     sigma: Floats
+    bias: Floats
     principal: Floats
     von_mises: Floats
-
-
-@kernel
-def _principal_axes(
-    matrix: Floats,
-    vectors: Floats,
-) -> None:
-    """Turn a symmetric 3 x 3 matrix to diagonal form by Jacobi's rotations; columns of `vectors` are axes."""
-    for i in range(3):
-        for j in range(3):
-            vectors[i, j] = 1.0 if i == j else 0.0
-    for _ in range(12):
-        off = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
-        if off <= 1e-16 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]):
-            break
-        for p in range(2):
-            for q in range(p + 1, 3):
-                if matrix[p, q] == 0.0:
-                    continue
-                theta = 0.5 * (matrix[q, q] - matrix[p, p]) / matrix[p, q]
-                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
-                if theta < 0.0:
-                    t = -t
-                c = 1.0 / np.sqrt(t * t + 1.0)
-                s = t * c
-                for k in range(3):
-                    a = matrix[k, p]
-                    b = matrix[k, q]
-                    matrix[k, p] = c * a - s * b
-                    matrix[k, q] = s * a + c * b
-                for k in range(3):
-                    a = matrix[p, k]
-                    b = matrix[q, k]
-                    matrix[p, k] = c * a - s * b
-                    matrix[q, k] = s * a + c * b
-                    a = vectors[k, p]
-                    b = vectors[k, q]
-                    vectors[k, p] = c * a - s * b
-                    vectors[k, q] = s * a + c * b
-
-
-@kernel
-def _tangent_frame(
-    scatter: Floats,
-    along: Floats,
-    x_axis: Floats,
-    vectors: Floats,
-    frame: Floats,
-) -> bool:
-    """Fill the frame (rows x, y, z) at a point; return False where it has none.
-
-    z is the direction in which the points scatter least, towards the camera; x is `x_axis` projected onto
-    the plane across it. `along` (2, 3) correlates position with the image's x and y, and so tells which
-    side the camera is on: the image's x, y and the viewing direction are right-handed.
-    """
-    _principal_axes(scatter, vectors)
-    least, middle, most = 0, 1, 2
-    if scatter[middle, middle] < scatter[least, least]:
-        least, middle = middle, least
-    if scatter[most, most] < scatter[middle, middle]:
-        middle, most = most, middle
-    if scatter[middle, middle] < scatter[least, least]:
-        least, middle = middle, least
-    if not scatter[middle, middle] > 1e-2 * scatter[most, most]:
-        return False
-    z = vectors[:, least]
-    facing = (
-        z[0] * (along[0, 1] * along[1, 2] - along[0, 2] * along[1, 1])
-        + z[1] * (along[0, 2] * along[1, 0] - along[0, 0] * along[1, 2])
-        + z[2] * (along[0, 0] * along[1, 1] - along[0, 1] * along[1, 0])
-    )
-    sign = -1.0 if facing > 0.0 else 1.0
-    height = x_axis[0] * z[0] + x_axis[1] * z[1] + x_axis[2] * z[2]
-    length = 0.0
-    for k in range(3):
-        frame[2, k] = sign * z[k]
-        frame[0, k] = x_axis[k] - height * z[k]
-        length += frame[0, k] ** 2
-    if not length > 1e-6:
-        return False
-    for k in range(3):
-        frame[0, k] /= np.sqrt(length)
-    for k in range(3):
-        a = (k + 1) % 3
-        b = (k + 2) % 3
-        frame[1, k] = frame[2, a] * frame[0, b] - frame[2, b] * frame[0, a]
-    return True
-
-
-@kernel
-def _gather(
-    side: int,
-    labels: Labels,
-    weight: Floats,
-    place: Floats,
-    xyz: Floats,
-    displacement: Floats,
-    covariance: Floats,
-    normal: Floats,
-    least_cosine: float,
-    row: int,
-    column: int,
-    label: int,
-    centre: Floats,
-    radius: float,
-    reach: int,
-    sums: Floats,
-    scatter: Floats,
-    mixed: Floats,
-    along: Floats,
-) -> float:
-    """Fill the central moments of the cells within `radius` of a point of the surface; return their weight.
-
-    Cells whose normal makes an angle with that of the point's own cell beyond `least_cosine` are left out.
-    `sums` is the weighted sum of (place 2, xyz 3, displacement 3, covariance 6), `scatter` that of
-    position with position, `mixed` of position with displacement, `along` of image place with position.
-    """
-    sums[:] = 0.0
-    scatter[:] = 0.0
-    mixed[:] = 0.0
-    along[:] = 0.0
-    total = 0.0
-    own_x = normal[0, row // side, column // side]
-    own_y = normal[1, row // side, column // side]
-    own_z = normal[2, row // side, column // side]
-    folded = least_cosine > -1.0 and own_x * own_x + own_y * own_y + own_z * own_z > 0.0
-    for j in range(max(row // side - reach, 0), min(row // side + reach + 1, labels.shape[0])):
-        for i in range(max(column // side - reach, 0), min(column // side + reach + 1, labels.shape[1])):
-            if labels[j, i] != label:
-                continue
-            x = (xyz[0, j, i] - centre[0], xyz[1, j, i] - centre[1], xyz[2, j, i] - centre[2])
-            if x[0] * x[0] + x[1] * x[1] + x[2] * x[2] > radius * radius:
-                continue
-            if folded:
-                n_x, n_y, n_z = normal[0, j, i], normal[1, j, i], normal[2, j, i]
-                square = n_x * n_x + n_y * n_y + n_z * n_z
-                if square > 0.0 and n_x * own_x + n_y * own_y + n_z * own_z < least_cosine:
-                    continue
-            w = weight[j, i]
-            total += w
-            for a in range(2):
-                p = place[a, j, i] - (column if a == 0 else row)
-                sums[a] += w * p
-                for k in range(3):
-                    along[a, k] += w * p * x[k]
-            for k in range(3):
-                sums[2 + k] += w * x[k]
-                sums[5 + k] += w * displacement[k, j, i]
-                for m in range(3):
-                    scatter[k, m] += w * x[k] * x[m]
-                    mixed[k, m] += w * x[k] * displacement[m, j, i]
-            for k in range(6):
-                sums[8 + k] += w * covariance[k, j, i]
-    for k in range(3):
-        for a in range(2):
-            along[a, k] -= sums[a] * sums[2 + k] / total
-        for m in range(3):
-            scatter[k, m] -= sums[2 + k] * sums[2 + m] / total
-            mixed[k, m] -= sums[2 + k] * sums[5 + m] / total
-    return total
-
-
-@kernel
-def _quadratic(
-    a: Floats,
-    packed: Floats,
-    b: Floats,
-) -> float:
-    """Return a^T C b for a packed symmetric C."""
-    return float(
-        a[0] * (packed[0] * b[0] + packed[1] * b[1] + packed[2] * b[2])
-        + a[1] * (packed[1] * b[0] + packed[3] * b[1] + packed[4] * b[2])
-        + a[2] * (packed[2] * b[0] + packed[4] * b[1] + packed[5] * b[2])
-    )
 
 
 @kernel
@@ -215,16 +66,14 @@ def _slopes(frame: Floats, scatter: Floats, mixed: Floats, gradient: Floats) -> 
 
     Returns 00, 01 and 11 of the inverse of A, the points' scatter in the plane.
     """
-    spread = np.zeros((2, 2))
-    for a in range(2):
-        for b in range(2):
-            for k in range(3):
-                for m in range(3):
-                    spread[a, b] += frame[a, k] * scatter[k, m] * frame[b, m]
-    determinant = spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0]
-    i00 = spread[1, 1] / determinant
-    i11 = spread[0, 0] / determinant
-    i01 = -spread[0, 1] / determinant
+    xx = xy = yy = 0.0
+    for k in range(3):
+        for m in range(3):
+            xx += frame[0, k] * scatter[k, m] * frame[0, m]
+            xy += frame[0, k] * scatter[k, m] * frame[1, m]
+            yy += frame[1, k] * scatter[k, m] * frame[1, m]
+    determinant = xx * yy - xy * xy
+    i00, i01, i11 = yy / determinant, -xy / determinant, xx / determinant
     for m in range(3):
         bx = frame[0, 0] * mixed[0, m] + frame[0, 1] * mixed[1, m] + frame[0, 2] * mixed[2, m]
         by = frame[1, 0] * mixed[0, m] + frame[1, 1] * mixed[1, m] + frame[1, 2] * mixed[2, m]
@@ -251,14 +100,27 @@ def _strain_of(frame: Floats, gradient: Floats, green: bool, f: Floats) -> tuple
 
 
 @kernel
-def _sigma_of(f: Floats, noise: Floats, inverse: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the standard deviations of xx, yy and xy from the covariance of the displacement, packed."""
+def _variance_of(
+    f: Floats, noise: Floats, first: int, inverse: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return the variances of xx, yy and xy from the displacement's covariance, packed from `first` on."""
     i00, i01, i11 = inverse
-    nxx = _quadratic(f[0], noise, f[0])
-    nyy = _quadratic(f[1], noise, f[1])
-    nxy = _quadratic(f[0], noise, f[1])
-    shear = 0.5 * np.sqrt(i11 * nxx + i00 * nyy + 2.0 * i01 * nxy)
-    return np.sqrt(i00 * nxx), np.sqrt(i11 * nyy), shear
+    xx, xy, xz = noise[first], noise[first + 1], noise[first + 2]
+    yy, yz, zz = noise[first + 3], noise[first + 4], noise[first + 5]
+    x0, x1, x2 = (
+        xx * f[0, 0] + xy * f[0, 1] + xz * f[0, 2],
+        xy * f[0, 0] + yy * f[0, 1] + yz * f[0, 2],
+        xz * f[0, 0] + yz * f[0, 1] + zz * f[0, 2],
+    )
+    nxx = f[0, 0] * x0 + f[0, 1] * x1 + f[0, 2] * x2
+    nxy = f[1, 0] * x0 + f[1, 1] * x1 + f[1, 2] * x2
+    y0, y1, y2 = (
+        xx * f[1, 0] + xy * f[1, 1] + xz * f[1, 2],
+        xy * f[1, 0] + yy * f[1, 1] + yz * f[1, 2],
+        xz * f[1, 0] + yz * f[1, 1] + zz * f[1, 2],
+    )
+    nyy = f[1, 0] * y0 + f[1, 1] * y1 + f[1, 2] * y2
+    return i00 * nxx, i11 * nyy, 0.25 * (i11 * nxx + i00 * nyy + 2.0 * i01 * nxy)
 
 
 @kernel
@@ -269,54 +131,72 @@ def _strain_rows(
     full_xyz: Floats,
     full_labels: Labels,
     side: int,
-    labels: Labels,
-    weight: Floats,
-    place: Floats,
-    xyz: Floats,
-    displacement: Floats,
-    covariance: Floats,
-    normal: Floats,
+    told: Floats,
     least_cosine: float,
     x_axis: Floats,
     radius: float,
     reach: int,
     minimum: int,
     green: bool,
+    step: int,
+    block: int,
+    shared: Floats,
     strain: Floats,
-    sigma: Floats,
+    own: Floats,
+    match: Floats,
 ) -> None:
-    """Fill strain and sigma for rows start .. stop."""
-    sums = np.empty(14)
-    scatter = np.empty((3, 3))
-    turned = np.empty((3, 3))
-    mixed = np.empty((3, 3))
-    along = np.empty((2, 3))
-    vectors = np.empty((3, 3))
-    frame = np.empty((3, 3))
-    gradient = np.empty((2, 3))
-    f = np.empty((2, 3))
-    for r in range(start, stop):
-        for c in range(valid.shape[1]):
-            strain[:, r, c] = np.nan
-            sigma[:, r, c] = np.nan
-            if not valid[r, c]:
-                continue
-            total = _gather(
-                side, labels, weight, place, xyz, displacement, covariance, normal, least_cosine, r, c,
-                full_labels[r, c], full_xyz[:, r, c], radius, reach, sums, scatter, mixed, along,
-            )  # fmt: skip
-            if not total >= minimum:
-                continue
-            for i in range(3):
-                for j in range(3):
-                    turned[i, j] = scatter[i, j]
-            if not _tangent_frame(turned, along, x_axis, vectors, frame):
-                continue
-            inverse = _slopes(frame, scatter, mixed, gradient)
-            xx, yy, xy = _strain_of(frame, gradient, green, f)
-            strain[0, r, c], strain[1, r, c], strain[2, r, c] = xx, yy, xy
-            xx, yy, xy = _sigma_of(f, sums[8:] / total, inverse)
-            sigma[0, r, c], sigma[1, r, c], sigma[2, r, c] = xx, yy, xy
+    """Fill strain and its variances, of every `step`-th pixel from its half on, for their rows start .. stop.
+
+    `own` is that by the covariance, `match` that by `shared` (6,), which is the same everywhere. Squares of
+    `block` pixels look among the same cells, wherever the rows begin.
+    """
+    first = step // 2
+    wide = 2 * reach + 2 + (block * step) // side
+    near = np.empty((ROWS, wide * wide))
+    sums = np.empty(SUMS)
+    scatter, turned, mixed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    vectors, frame = np.empty((3, 3)), np.empty((3, 3))
+    gradient, f = np.empty((2, 3)), np.empty((2, 3))
+    columns = strain.shape[2]
+    for j in range(start // block, (stop - 1) // block + 1):
+        for i in range((columns - 1) // block + 1):
+            count = -1
+            for row in range(max(j * block, start), min((j + 1) * block, stop)):
+                for column in range(i * block, min((i + 1) * block, columns)):
+                    strain[:, row, column] = own[:, row, column] = match[:, row, column] = np.nan
+                    r, c = first + step * row, first + step * column
+                    if not valid[r, c]:
+                        continue
+                    if count < 0:
+                        count = gather(
+                            told,
+                            (first + step * j * block) // side - reach,
+                            (first + step * ((j + 1) * block - 1)) // side + reach + 1,
+                            (first + step * i * block) // side - reach,
+                            (first + step * ((i + 1) * block - 1)) // side + reach + 1,
+                            near,
+                        )
+                    y, x = r // side, c // side
+                    place = (full_xyz[0, r, c], full_xyz[1, r, c], full_xyz[2, r, c])
+                    normal = (told[14, y, x], told[15, y, x], told[16, y, x])
+                    least = -2.0 if told[17, y, x] != 0.0 else least_cosine
+                    disc_sums(near, count, full_labels[r, c], place, radius * radius, normal, least, sums)
+                    if not sums[0] >= minimum:
+                        continue
+                    central_moments(sums, scatter, mixed)
+                    turned[:] = scatter
+                    if not tangent_frame(
+                        turned, (sums[NORMAL], sums[NORMAL + 1], sums[NORMAL + 2]), x_axis, vectors, frame
+                    ):
+                        continue
+                    inverse = _slopes(frame, scatter, mixed, gradient)
+                    strained = _strain_of(frame, gradient, green, f)
+                    of_own = _variance_of(f, sums, COVARIANCE, inverse)
+                    of_match = _variance_of(f, shared, 0, inverse)
+                    for k in range(3):
+                        strain[k, row, column] = strained[k]
+                        own[k, row, column] = of_own[k] / sums[0]
+                        match[k, row, column] = of_match[k]
 
 
 def principal_and_equivalent(strain: Floats) -> tuple[Floats, Floats]:
@@ -330,7 +210,7 @@ def principal_and_equivalent(strain: Floats) -> tuple[Floats, Floats]:
 def surface_strain(
     xyz: Floats,
     displacement: Floats,
-    covariance: NDArray[np.floating],
+    errors: NDArray[np.floating] | SharedErrors,
     labels: NDArray[np.int32],
     *,
     gauge_length: float,
@@ -346,8 +226,11 @@ def surface_strain(
     ----------
     xyz
         (3, rows, columns), positions at the reference state, in any unit of length.
-    displacement, covariance
-        (3, rows, columns) and (6, rows, columns) in that unit; NaN where there is none.
+    displacement
+        (3, rows, columns) in that unit; NaN where there is none.
+    errors
+        What is known of its errors: (6, rows, columns), their covariance, if they are independent from pixel
+        to pixel, and otherwise how far they go together.
     labels
         (rows, columns), continuous regions; a gauge disc holds points of its centre's region only.
     gauge_length
@@ -371,26 +254,83 @@ def surface_strain(
     The plane is that of the points' principal axes, in which height is uncorrelated with place: a rigid
     motion therefore gives no Green-Lagrange strain at all on any surface, and a lopsided disc at an edge
     gives the strain at its centroid. The equivalent strain is sqrt(e1^2 - e1 e2 + e2^2) of the principal
-    strains e1 and e2. The standard deviation takes errors as independent from pixel to pixel: see
-    `strain_errors.independent_equivalent` for those that are not.
+    strains e1 and e2. The standard deviation counts noise and what bends within the disc (`gauge_bias`),
+    which is held against the noise that there is beside edges (`noise_at_edges`).
     """
     valid = np.isfinite(displacement).all(axis=0) & (labels > 0)
     used = np.where(valid, labels, 0).astype(np.int32)
     radius = 0.5 * gauge_length
     reach_px = radius / pixel_pitch(xyz, used, 0.01)
-    side = max(1, round(reach_px / _DISC_CELLS))
-    cells = cell_means(xyz, displacement, np.asarray(covariance, dtype=np.float64), used, side)
-    reach = int(np.ceil(reach_px / side))
+    if not isinstance(errors, SharedErrors):
+        errors = SharedErrors(np.asarray(errors, dtype=np.float64), np.zeros(6), 0.0, 0.0, reach_px)
+    cells = _cells_for(reach_px, xyz, displacement, errors.own, used)
     axis = np.asarray(x_axis, dtype=np.float64)
-    strain = np.empty((3, *labels.shape))
-    sigma = np.empty((3, *labels.shape))
+    least_cosine = float(np.cos(fold_angle_rad))
+    edges = edges_of(labels, cells, axis, errors)
 
-    def work(start: int, stop: int) -> None:
-        _strain_rows(
-            start, stop, valid, xyz, used, cells.side, cells.labels, cells.weight, cells.place, cells.xyz,
-            cells.displacement, cells.covariance, cells.normal, float(np.cos(fold_angle_rad)), axis, radius,
-            reach, minimum_pixels, green_lagrange, strain, sigma,
-        )  # fmt: skip
+    def fitted(cells: Cells, part: float, step: int) -> tuple[Floats, Floats, Floats]:
+        """Return strain over a part of the length and its variance by noise, of every `step`-th pixel.
 
-    in_row_blocks(work, labels.shape[0], threads)
-    return SurfaceStrain(strain, sigma, *principal_and_equivalent(strain))
+        The variance as if far from edges, and with what these add.
+        """
+        side, told = cells.side, told_of_cells(cells)
+        shape = [len(range(step // 2, size, step)) for size in labels.shape]
+        strain, own, match = (np.empty((3, *shape)) for _ in range(3))
+        reach = int(np.ceil(part * reach_px / side))
+        block = max(side, _BLOCK) if step == 1 else 1
+
+        def work(start: int, stop: int) -> None:
+            _strain_rows(
+                start, stop, valid, xyz, used, side, told, least_cosine, axis, part * radius, reach,
+                minimum_pixels, green_lagrange, step, block, errors.match, strain, own, match,
+            )  # fmt: skip
+
+        in_row_blocks(work, shape[0], threads)
+        of_own, of_match = errors.seen_by_part(part)
+        own, match = of_own * own, of_match * match
+        return strain, own + match, noise_at_edges(own, match, edges.sampled(step), errors, part, threads)
+
+    strain, variance, at_edges = fitted(cells, 1.0, 1)
+    step = max(1, int(np.ceil(reach_px / STEPS_TO_A_RADIUS)))
+    every = [(strain, at_edges)]
+    for part in SHORTER:
+        finer = _cells_for(part * reach_px, xyz, displacement, errors.own, used)
+        shorter, _, of_shorter = fitted(finer, part, step)
+        every.append((shorter, of_shorter))
+    samples = _sampled(xyz, used, cells, every, step)
+    of_gauge = gauge_bias(samples, radius, int(np.ceil(reach_px / step)), least_cosine, threads)
+    square = spread_over_pixels(of_gauge, samples, used, threads)
+    square[np.isnan(variance)] = np.nan
+    sigma = np.sqrt(variance + square)
+    return SurfaceStrain(strain, sigma, np.sqrt(square), *principal_and_equivalent(strain))
+
+
+def _cells_for(
+    reach_px: float, xyz: Floats, displacement: Floats, covariance: Floats, labels: Labels
+) -> Cells:
+    """Return the squares of pixels of which discs with a radius of `reach_px` are made."""
+    side = max(1, round(reach_px / _DISC_CELLS))
+    return cell_means(xyz, displacement, covariance, labels, side)
+
+
+def _sampled(
+    xyz: Floats, labels: Labels, cells: Cells, strain: Sequence[tuple[Floats, Floats]], step: int
+) -> Samples:
+    """Return every `step`-th pixel of an image.
+
+    `strain` is that of all pixels, and of the sampled ones over shorter gauges, each with its variance by
+    noise.
+    """
+    first = step // 2
+    row, column = (np.arange(first, size, step) // cells.side for size in labels.shape)
+    (own, variance), *shorter = strain
+    return Samples(
+        step,
+        first,
+        np.ascontiguousarray(xyz[:, first::step, first::step]),
+        np.ascontiguousarray(cells.normal[:, row[:, None], column]),
+        np.ascontiguousarray(labels[first::step, first::step]),
+        np.ascontiguousarray(own[:, first::step, first::step]),
+        np.ascontiguousarray(variance[:, first::step, first::step]),
+        tuple(shorter),
+    )
