@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import xarray
 
 MISSING = "{package} is not installed: run \"pip install 'sms-jobs[notebook]'\""
-_UNCERTAINTY = ("sigma", "covariance", "sigma_calibration", "reason")
+_UNCERTAINTY = ("sigma", "covariance", "bias", "sigma_calibration", "reason")
 """Arrays that say how well the others are known, or why they are not."""
 
 

@@ -109,7 +109,7 @@ def _of_array(
     if array.endswith("_sigma") and array.removesuffix("_sigma") in arrays:
         return
     count = about["shape"][0] if len(about["axes"]) == 3 else None
-    strains = "strain" in array or array in ("principal", "von_mises", "sigma_calibration")
+    strains = "strain" in array or array in ("principal", "von_mises", "sigma_calibration", "bias")
     strained = about["unit"] == "1" and strains
     scale, unit = (MICROSTRAIN, "µε") if strained else (1.0, about["unit"])
     unit = "" if unit in ("1", "bit") else unit

@@ -338,6 +338,18 @@ def _strain_statistics(field: StrainField) -> tuple[Statistic, ...]:
         Statistic("sigma xx, median", "µε", _micro(_median(field.sigma[0])), group=group),
         *(
             ()
+            if field.bias is None
+            else (
+                Statistic(
+                    "sigma xx from bends within the gauge, 95th percentile",
+                    "µε",
+                    _micro(_percentile(field.bias[0], 95.0)),
+                    group=group,
+                ),
+            )
+        ),
+        *(
+            ()
             if field.sigma_calibration is None
             else (
                 Statistic(

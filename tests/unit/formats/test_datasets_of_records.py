@@ -68,9 +68,12 @@ def test_a_dataset_along_the_specimens_axes_names_them() -> None:
 def test_a_map_shows_it_in_the_unit_of_strain() -> None:
     image = {"unit": "1", "axes": ["component", "row", "column"], "shape": [3, *SIZE]}
     described = {
-        name: {**image, "components": ["xx", "yy", "xy"]} for name in ("strain", "sigma", "sigma_calibration")
+        name: {**image, "components": ["xx", "yy", "xy"]}
+        for name in ("strain", "sigma", "bias", "sigma_calibration")
     }
     shown = {one.name: one for one in shown_of("strain", described)}
     assert shown["sigma from the calibration xx"].unit == "µε"
     assert shown["sigma from the calibration xx"].scale == shown["strain xx"].scale
+    assert shown["bias xx"].unit == "µε"
+    assert shown["bias xx"].scale == shown["strain xx"].scale
     assert "sigma xx" not in shown

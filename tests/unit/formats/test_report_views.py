@@ -146,6 +146,14 @@ def test_the_calibrations_part_stands_beside_sigma_or_is_said_not_to_be_known() 
     assert any("common to all pixels" in note for note in known.notes)
 
 
+def test_what_bends_within_the_gauge_is_told_where_it_has_been_looked_for() -> None:
+    field, strained = merged(np.array([0.1, 0.0, 0.0]), 1e-4 * np.eye(3)), strain()
+    assert not [one for one in view(field, strained).statistics if "bends" in one.name]
+    bias = np.full((3, *SIZE), 4e-6, np.float32)
+    told = [one for one in view(field, replace(strained, bias=bias)).statistics if "bends" in one.name]
+    assert [one.value for one in told] == [pytest.approx(4.0)]
+
+
 def test_numbers_of_one_group_stand_in_one_table() -> None:
     followed = Followed(())
     for key in ("C1", "C2"):
