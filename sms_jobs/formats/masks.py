@@ -43,8 +43,8 @@ def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) ->
     pieces = ndimage.label(inside)[1] + ndimage.label(~inside)[1]
     if pieces > _MOST_PIECES:
         raise InvalidInput(
-            f"{path} has {pieces} pieces and holes, a region may have {_MOST_PIECES}: leave small ones out, "
-            "as with --least-px 20"
+            f"{path} has {pieces} pieces and holes, a region may have {_MOST_PIECES}: leave out small ones, "
+            "for example with least_px 20"
         )
     try:
         return written(outlines_of(inside))

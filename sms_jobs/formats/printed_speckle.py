@@ -53,12 +53,12 @@ def speckle_sheet(sheet: Sheet) -> NDArray[np.uint8]:
         raise InvalidInput(
             f"a sheet of {sheet.width_mm:g} mm x {sheet.height_mm:g} mm at {sheet.dpi} dpi has "
             f"{columns * rows / 1e6:.0f} million dots, more than {_MOST_PIXELS // 10**6} million; "
-            "print it in parts or with a lower --dpi"
+            "print it in parts or with fewer dpi"
         )
     if sheet.speckle_mm < 4.0 * pitch:
         raise InvalidInput(
             f"speckles of {sheet.speckle_mm:g} mm have {sheet.speckle_mm / pitch:.1f} dots at "
-            f"{sheet.dpi} dpi, fewer than 4; choose a --dpi of {4.0 * MM_PER_INCH / sheet.speckle_mm:.0f} "
+            f"{sheet.dpi} dpi, fewer than 4; choose {4.0 * MM_PER_INCH / sheet.speckle_mm:.0f} dpi "
             "or more"
         )
     speckle = Speckle(sheet.speckle_mm, 0.0, 1.0, sheet.seed)

@@ -341,7 +341,7 @@ def test_options_and_query_have_both_to_be_met(catalogue: Catalogue) -> None:
         (found,) = find_page(session, asked, KNOWN).found
     assert found.file.subject == "c00000/S01/C1P2"
     assert list(found.values) == ["load_kN"]
-    with pytest.raises(InvalidInput, match="the query asks for strain and --kind for correlate"):
+    with pytest.raises(InvalidInput, match="the query asks for strain, but kind is correlate"):
         restricted(parse("strain"), kind="correlate", campaign=None, state=None, view=None)
     with catalogue.reading() as session, pytest.raises(InvalidInput, match=r"no kind 'strian'.*'strain'"):
         find_page(session, restricted(parse(""), kind="strian", campaign=None, state=None, view=None), KNOWN)
@@ -447,7 +447,7 @@ def test_what_is_found_goes_into_a_parquet_file(
     assert {name: row[name] for name in ("path", "size_bytes", "content_hash")} == {
         name: listed[name] for name in ("path", "size_bytes", "content_hash")
     }
-    with pytest.raises(Conflict, match="--force"):
+    with pytest.raises(Conflict, match="set force"):
         run(capsys, *asked, "--format", "parquet", "--out", str(path), *at)
 
 
@@ -456,6 +456,6 @@ def test_without_the_package_it_is_said_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
     path = tmp_path / "found.parquet"
-    with pytest.raises(SmsError, match=r"pip install 'sms-jobs\[parquet\]'.*--format csv"):
+    with pytest.raises(SmsError, match=r"pip install 'sms-jobs\[parquet\]'.*format csv"):
         write_parquet(path, ["file"], [(1,)])
     assert not path.exists()

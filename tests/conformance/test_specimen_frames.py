@@ -155,7 +155,7 @@ def test_a_lost_catalogue_comes_back_with_the_frame(
 def test_what_tells_no_frame_is_refused(deployment: Deployment, catalogue: Catalogue) -> None:
     before = defined(catalogue)
     for words, told in (
-        (("--x", "100,57"), "third point by --plane"),
+        (("--x", "100,57"), "plane, a third point"),
         (("--origin", "64,60"), "point of the x axis by --x"),
         (("--origin", "64,60", "--x", "100,57,3", "--plane", "60,90"), "all points as pixels"),
         (("--origin", "64,60", "--x", "9", "--plane", "60,90"), "--x 9 is not a point"),

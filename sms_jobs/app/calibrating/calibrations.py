@@ -297,7 +297,7 @@ def style_for(out: Path, style: str | None) -> str:
     if not fitting:
         raise InvalidInput(f"'{out}' ends as no style does; end it as one of {listed}")
     if len(fitting) > 1:
-        raise InvalidInput(f"'{out}' may be a file of {' or '.join(fitting)}; say which with --as")
+        raise InvalidInput(f"'{out}' may be a file of {' or '.join(fitting)}; name the style")
     return fitting[0]
 
 
@@ -305,7 +305,7 @@ def _checked_style(style: str) -> Style:
     styles: tuple[Style, ...] = get_args(Style)
     chosen = next((one for one in styles if one == style), None)
     if chosen is None:
-        raise InvalidInput(f"--as should be one of {', '.join(STYLES)}, not '{style}'")
+        raise InvalidInput(f"the style should be one of {', '.join(STYLES)}, not '{style}'")
     return chosen
 
 

@@ -71,7 +71,9 @@ def pack(
         There is no such campaign or kind.
     """
     if link and without_plugins:
-        raise InvalidInput("--link takes files as they are; leave it out, or --without-plugins")
+        raise InvalidInput(
+            "link takes files unchanged, and without_plugins rewrites them; leave one of them out"
+        )
     for name in kinds:
         if name not in (MEASUREMENT, CALIBRATION):
             kind_named(name)

@@ -133,15 +133,13 @@ def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) ->
 def _described(task: Task) -> Artefact | None:
     """Return the board that the options describe; None where they describe none."""
     if task.board is not None and task.chessboard is not None:
-        raise InvalidInput("say what the board is by --board or by --chessboard, not by both")
+        raise InvalidInput("describe the board by board or by chessboard, not by both")
     if task.chessboard is not None:
         known = task.pitch_relative_sigma, task.flatness_mm
         return board_images.chessboard(task.chessboard, task.pitch_mm, *known)
     for name in ("pitch_relative_sigma", "flatness_mm"):
         if getattr(task, name) is not None:
-            raise InvalidInput(
-                f"--{name.replace('_', '-')} goes with --chessboard: write {name} into the file of the board"
-            )
+            raise InvalidInput(f"{name} is for a chessboard: write it into the file of the board instead")
     return None if task.board is None else board_images.load_board(task.board)
 
 
@@ -156,13 +154,15 @@ def _check(
     """Refuse what contradicts the session that is there, or what leaves a new one undescribed."""
     if existing is None:
         if rig is None or board is None:
-            missing = "name the rig, as --rig stereo" if rig is None else "say what the board is, as --board"
+            missing = "name the rig, for example stereo" if rig is None else "describe the board"
             raise InvalidInput(f"there is no session {name} yet: {missing}")
         return
     if existing.session is None:
         raise InvalidInput(f"campaign {name} is no calibration session: import into another")
     if board is not None and board not in existing.session.artefacts.values():
-        raise InvalidInput(f"session {name} shows another board: leave --board out, or make another session")
+        raise InvalidInput(
+            f"session {name} shows another board: leave the board out, or create another session"
+        )
     unknown = [p for p in arrangement.views if p not in existing.views]
     if unknown:
         raise InvalidInput(
@@ -172,7 +172,7 @@ def _check(
     added = [label for label in arrangement.states if label not in labels]
     if added and not add_states:
         raise InvalidInput(
-            f"session {name} has no pose {', '.join(added[:5])}: say --add-states to add {len(added)}"
+            f"session {name} has no pose {', '.join(added[:5])}: set add_states to add {len(added)}"
         )
 
 

@@ -104,5 +104,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
 def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFormat, ...]:
     sensors = view_of(view).sensors
     if set(sizes) != set(sensors):
-        raise InvalidInput(f"give --size of {' and '.join(sensors)}, not of {', '.join(sizes) or 'none'}")
+        raise InvalidInput(
+            f"give the image size of {' and '.join(sensors)}, not of {', '.join(sizes) or 'none'}"
+        )
     return tuple(SensorFormat(name, *sizes[name]) for name in sensors)

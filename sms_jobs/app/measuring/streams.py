@@ -143,13 +143,13 @@ def _asked(services: Services, task: Task) -> tuple[bool, Campaign, StreamParame
     if not campaigns_of_cameras(campaign):
         raise InvalidInput(
             f"campaign {campaign.name} is measured by {', '.join(campaign.views)}: streams are of a specimen "
-            "before cameras without a projector; name another campaign and say --rig to make it"
+            "before cameras without a projector; name another campaign, with a rig to create it"
         )
     cameras = campaign.recordings
     if task.cameras and {*task.cameras} != {*cameras}:
         raise InvalidInput(
             f"campaign {campaign.name} has the cameras {', '.join(cameras)}, and a state has an image of "
-            "each: leave --cameras out, or name another campaign and say --rig to make it"
+            "each: leave cameras out, or name another campaign, with a rig to create it"
         )
     given = {
         "rate_hz": task.rate_hz,
@@ -173,12 +173,12 @@ def _new(task: Task) -> Campaign:
 
     if task.rig is None or not task.cameras:
         raise NotFound(
-            f"there is no campaign '{task.campaign}': create it with 'sms campaign create', or say --cameras "
-            "and --rig to make it"
+            f"there is no campaign '{task.campaign}': create it with 'sms campaign create', or give "
+            "cameras and a rig to create it here"
         )
     if task.views is None and len(task.cameras) > 2:
         raise InvalidInput(
-            f"{len(task.cameras)} cameras may measure together in many ways: say --views, such as 'C1C2 C2C3'"
+            f"{len(task.cameras)} cameras may measure together in many ways: give views, such as 'C1C2 C2C3'"
         )
     views = (
         views_of_all(task.cameras, task.rig, None)

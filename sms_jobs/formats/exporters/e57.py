@@ -141,8 +141,8 @@ def write(grid: PointGrid, path: Path) -> None:
     """
     if grid.unit != "mm":
         raise InvalidInput(
-            f"positions are in {grid.unit} and E57 holds metres: give the size of a pixel, as "
-            "'--set plane.mm_per_px=0.05' does, or choose another format"
+            f"positions are in {grid.unit} and E57 holds metres: give the size of a pixel, "
+            "for example plane.mm_per_px=0.05, or choose another format"
         )
     known = grid.known()
     if max(known.shape) > _LARGEST_INDEX + 1:

@@ -376,9 +376,9 @@ def _check_names(layout: FrameLayout) -> None:
     if len(names & {"camera", "projector"}) == 1:
         raise InvalidInput("the pattern needs both of {camera} and {projector}, or {view}, or neither")
     if not names & {"view", "camera"} and layout.view is None:
-        raise InvalidInput("the names do not say the view: give it, as view = 'C1P1' or --view C1P1")
+        raise InvalidInput("the names do not contain the view: give it, for example view = 'C1P1'")
     if "state" not in names and layout.state is None:
-        raise InvalidInput("the names do not say the state: give it, as state = 'S00' or --state S00")
+        raise InvalidInput("the names do not contain the state: give it, for example state = 'S00'")
     spoken = names & {"density", "step", "orientation"}
     if layout.numbered and spoken:
         raise InvalidInput(

@@ -109,15 +109,15 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
     to_ask = volume is None and not _several_cameras(found, given)
     if rig is None or valid_from is None or to_ask:
         missing = [
-            option
-            for option, asked in (
-                ("--rig", rig is None),
-                ("--valid-from", valid_from is None),
-                ("--volume", to_ask),
+            name
+            for name, absent in (
+                ("the rig", rig is None),
+                ("the time from which it is valid", valid_from is None),
+                ("the volume", to_ask),
             )
-            if asked
+            if absent
         ]
-        raise InvalidInput(f"{sources} does not say everything: add {', '.join(missing)}")
+        raise InvalidInput(f"{sources} is incomplete: add {' and '.join(missing)}")
     if valid_from.tzinfo is None:
         raise InvalidInput(
             f"the time {valid_from.isoformat()} from which it is valid needs a zone, as in +02:00"
@@ -131,7 +131,7 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
         volume = _seen_together(sensors, sources)
         low, high = (", ".join(f"{x:g}" for x in corner) for corner in (volume.low, volume.high))
         remarks.append(
-            f"the volume is what the cameras see together, from {low} to {high} mm; --volume says another"
+            f"the volume is what the cameras see together, from {low} to {high} mm; give volume to change it"
         )
     calibration = Calibration(Rig(rig, sensors), volume, valid_from.astimezone(UTC), origin)
     return ImportedCalibration(calibration, tuple(remarks))
@@ -172,12 +172,14 @@ def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[
         raise ConfigurationError(f"{sources} has no sensor")
     names = _names(found, given, sources)
     if found.in_millimetres and given.millimetres_per_unit != 1.0:
-        raise InvalidInput(f"{sources} is in millimetres, so --unit-mm has no use")
+        raise InvalidInput(f"{sources} is in millimetres; leave out the unit")
     if not (isfinite(given.millimetres_per_unit) and given.millimetres_per_unit > 0.0):
         raise InvalidInput(f"a unit of length has more than 0 mm, not {given.millimetres_per_unit}")
     strange = sorted(set(given.sizes) - set(names))
     if strange:
-        raise InvalidInput(f"--size names {strange[0]}, but the sensors of {sources} are {', '.join(names)}")
+        raise InvalidInput(
+            f"a size is given for {strange[0]}, but the sensors of {sources} are {', '.join(names)}"
+        )
     mixed = found.sensors[0].role is not found.sensors[-1].role
     for name, sensor in zip(names, found.sensors, strict=True):
         if mixed and role_of(name) is not sensor.role:
@@ -187,8 +189,10 @@ def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[
     sizes = [_size(name, sensor, given, sources) for name, sensor in zip(names, found.sensors, strict=True)]
     unsized = [name for name, size in zip(names, sizes, strict=True) if size is None]
     if unsized:
-        options = " ".join(f"--size {name}=COLUMNSxROWS" for name in unsized)
-        raise InvalidInput(f"{sources} does not say the image size of {', '.join(unsized)}: add {options}")
+        sizes_to_add = " ".join(f"{name}=COLUMNSxROWS" for name in unsized)
+        raise InvalidInput(
+            f"{sources} does not say the image size of {', '.join(unsized)}: add the size {sizes_to_add}"
+        )
     sensors = []
     for name, sensor, size in zip(names, found.sensors, sizes, strict=True):
         assert size is not None
@@ -204,7 +208,7 @@ def _names(found: FoundCalibration, given: Supplement, sources: str) -> list[str
     own = [s.name for s in found.sensors if s.name is not None]
     if own and given.names:
         raise InvalidInput(
-            f"{sources} names its sensors itself: {', '.join(own)}; leave --camera and --projector out"
+            f"{sources} names its sensors itself: {', '.join(own)}; leave out their names"
         )
     if given.names and len(given.names) != len(found.sensors):
         raise InvalidInput(
@@ -225,10 +229,10 @@ def _names(found: FoundCalibration, given: Supplement, sources: str) -> list[str
 def _size(name: str, sensor: FoundSensor, given: Supplement, sources: str) -> tuple[int, int] | None:
     said = given.sizes.get(name)
     if said is not None:
-        said = image_size(*said, f"--size of {name}")
+        said = image_size(*said, f"the size of {name}")
     if said is not None and sensor.size is not None and said != sensor.size:
         raise InvalidInput(
-            f"--size says {said[0]} x {said[1]} px for {name}, but {sources} says {sensor.size[0]} x "
+            f"the size given for {name} is {said[0]} x {said[1]} px, but {sources} says {sensor.size[0]} x "
             f"{sensor.size[1]} px"
         )
     return said or sensor.size
@@ -240,7 +244,7 @@ def _seen_together(sensors: tuple[Sensor, ...], sources: str) -> Box:
     if found is None:
         raise InvalidInput(
             f"{sources} does not say the measurement volume, and its cameras do not look at one place: add "
-            "--volume"
+            "the volume"
         )
     low, high = (corner.tolist() for corner in found)
     return Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))

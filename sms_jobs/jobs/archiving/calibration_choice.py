@@ -27,8 +27,8 @@ def holding(session: Session, valid: ValidCalibrations, rig: str, subject: Subje
         first = valid.used[0]
         raise NotFound(
             f"{subject} is of {_shown(valid.time_of(subject))}, and the first calibration that is used for "
-            f"it, {first.number}, is valid from {_shown(first.valid_from)} on: import or certify one with an "
-            "earlier --valid-from"
+            f"it, {first.number}, is valid from {_shown(first.valid_from)} on: import or certify one that "
+            "is valid from an earlier time"
         )
     waiting = [view.id for view in search.list_calibrations(session, rig) if not view.in_use]
     if not waiting:

@@ -119,8 +119,8 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
     found = tuple(state for state in left if state.label not in there)
     if not found:
         raise Conflict(
-            f"every state of {campaign} is recorded, planned or skipped: name one with --state to plan it "
-            "otherwise, or see 'sms acquire plan show'"
+            f"every state of {campaign} is recorded, planned or skipped: name a state to plan it "
+            "again, or see 'sms acquire plan show'"
         )
     return found
 

@@ -264,7 +264,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     doubts = [d for view in new for d in recorded(spool, view, sequence)[1].verdict.doubts]
     if doubts and parameters.doubtful == "ask":
         raise InstrumentError(
-            f"{'; '.join(doubts)}: `sms acquire resume` keeps it, with --retake it is recorded again"
+            f"{'; '.join(doubts)}: `sms acquire resume` keeps it, and with --retake records it again"
         )
     for number, view in enumerate(task.views):
         progress(0.8 + 0.2 * number / len(task.views), f"archiving {view}")

@@ -213,7 +213,7 @@ def test_a_project_of_vic_3d_projects_as_it_says(tmp_path: Path) -> None:
     assert found.remarks[0] == "image size of all cameras from the area of interest: 1920 x 1200 px"
     low, high = found.calibration.volume.low, found.calibration.volume.high
     assert np.all((points > low) & (points < high))
-    with pytest.raises(InvalidInput, match="image size of C1, C2: add --size C1=COLUMNSxROWS --size C2=COL"):
+    with pytest.raises(InvalidInput, match="image size of C1, C2: add the size C1=COLUMNSxROWS C2=COL"):
         read_calibration([saved(tmp_path, vic3d(poses))], GIVEN)
 
 
@@ -240,7 +240,7 @@ def test_the_volume_is_what_the_cameras_see_together(tmp_path: Path) -> None:
     assert 30.0 < volume.high[1] < 50.0
     assert found.remarks[-1].startswith("the volume is what the cameras see together, from ")
     parallel = (PAIR[0], dice_camera(1, "NONE", translated(WAY)))
-    with pytest.raises(InvalidInput, match="its cameras do not look at one place: add --volume"):
+    with pytest.raises(InvalidInput, match="its cameras do not look at one place: add the volume"):
         read_calibration([saved(tmp_path, dice(*parallel))], GIVEN)
 
 
