@@ -186,7 +186,7 @@ def _whoever_runs_this(settings: Settings, catalogue: Catalogue, via: str) -> Ac
     """
     name, host = _account(), socket.gethostname()
     with catalogue.reading() as session:
-        if not people.anybody(session):
+        if not people.has_people(session):
             return Actor(name, Role.ADMINISTRATOR, via, host, confirmed=True)
         row = people.find(session, name)
     if row is not None:

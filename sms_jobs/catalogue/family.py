@@ -82,9 +82,9 @@ def _family(session: Session, root: int, *, down: bool) -> Family:
     built: dict[int, tuple[Ancestor, ...]] = {}
     for file_id in reversed(order):
         built[file_id] = tuple(
-            Ancestor(role, views[there], built[there], told=False, more=there in more)
+            Ancestor(role, views[there], built[there], repeated=False, more=there in more)
             if shown_at[there] == (file_id, role, there)
-            else Ancestor(role, views[there], (), told=True, more=False)
+            else Ancestor(role, views[there], (), repeated=True, more=False)
             for _, role, there in below[file_id]
         )
     return Family(built[root], root in more)

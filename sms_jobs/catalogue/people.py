@@ -14,8 +14,8 @@ from sms_jobs.records.people import Role
 from sms_jobs.records.shown.people import PersonView
 
 
-def anybody(session: Session) -> bool:
-    """Return whether anybody has a name here; before that, everybody at the desk may do everything."""
+def has_people(session: Session) -> bool:
+    """Return whether has_people has a name here; before that, everybody at the desk may do everything."""
     return session.scalar(select(PersonRow.id).limit(1)) is not None
 
 

@@ -10,7 +10,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring import recordings
-from sms_jobs.app.measuring.recordings import Begun, Plan, Recorded
+from sms_jobs.app.measuring.recordings import Plan, Recorded, Started
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import completion, output, planned_recordings, recorded_states, streams, waiting
 from sms_jobs.cli import dry_run as dry_run_
@@ -236,7 +236,7 @@ def abort(
     output.say(f"stopped {', '.join(i[:SHORT_ID] for i in stopped)}; 'sms acquire resume' goes on")
 
 
-def _follow(services: Services, begun: Begun, as_json: bool) -> None:
+def _follow(services: Services, begun: Started, as_json: bool) -> None:
     """Wait for recordings and say what became of them; raise `JobFailed` when one did not succeed."""
     followed = _Followed(as_json)
     followed.succeeded(services, begun)
@@ -250,7 +250,7 @@ class _Followed:
         self._as_json = as_json
         self._turns: list[Recorded] = []
 
-    def succeeded(self, services: Services, begun: Begun) -> bool:
+    def succeeded(self, services: Services, begun: Started) -> bool:
         """Wait for some recordings, and return whether all of them succeeded."""
         with waiting.followed() as tell:
             recorded = recordings.wait_for_recordings(services, begun, tell)

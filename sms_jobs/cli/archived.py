@@ -169,7 +169,7 @@ def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
     for source, alike in by_source.items():
         shown = alike if whole or len(alike) <= _SHOWN_ALIKE else alike[:1]
         for ancestor in shown:
-            more = "; its inputs are shown elsewhere" if ancestor.told else ""
+            more = "; its inputs are shown elsewhere" if ancestor.repeated else ""
             if ancestor.more:
                 more = f"; there is more, see 'sms data tree {ancestor.file.id}'"
             child = node.add(

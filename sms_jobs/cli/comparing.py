@@ -10,7 +10,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app import writing
 from sms_jobs.app.fields import state_comparison
-from sms_jobs.app.fields.field_comparison import Difference, How, difference_of
+from sms_jobs.app.fields.field_comparison import ComparisonOptions, Difference, difference_of
 from sms_jobs.app.fields.state_comparison import StateDifferences
 from sms_jobs.cli import output
 from sms_jobs.cli.options import Force
@@ -56,7 +56,7 @@ def compare(
     Example: sms data compare 42 --with panel.vtu --field U --scale-mm 1000 --free-of-motion --out diff.png
     """
     _check(out, force)
-    how = How(field, scale_mm, align, free, within_mm)
+    how = ComparisonOptions(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
         found = difference_of(services, file, other, how)
     facts = found.facts()
@@ -98,7 +98,7 @@ def compare_states(
     Example: sms data compare-states hat --with 'model/{state}.vtu' --free-of-motion --out states.png
     """
     _check(out, force)
-    how = How(field, scale_mm, align, free, within_mm)
+    how = ComparisonOptions(field, scale_mm, align, free, within_mm)
     with bootstrap.services(home) as services:
         found = state_comparison.compare_states(services, campaign, other, kind, how)
     _write(found, f"{campaign} minus {other}", out, force)

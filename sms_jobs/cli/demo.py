@@ -48,7 +48,7 @@ def demo(
 
         def tell(now: Waiting) -> None:
             still_there()
-            left = kernels.left(services)
+            left = kernels.kernels_left(services)
             show_on_bar(replace(now, running=f"{left} kernels to compile, {now.running}") if left else now)
 
         summary = demo_.run(services, size.value, say=_unsaid if as_json else output.say, tell=tell)

@@ -91,7 +91,7 @@ def _tell(first: Page, pages: Iterator[Page], form: Format, options: FindOptions
         nonlocal last
         for page in pages:
             last = page.next
-            yield from page.found
+            yield from page.rows
 
     if options.as_json:
         output.print_json_list(_object(one, names) for one in files())

@@ -68,7 +68,7 @@ def states(
 
 def _tell(pages: Sequence[StatePage], form: Format, options: FindOptions) -> None:
     columns, by_view, last = pages[0].columns, pages[0].by_view, pages[-1].next
-    found = [one for page in pages for one in page.found]
+    found = [one for page in pages for one in page.rows]
     if options.as_json:
         output.print_json_list(map(_object, found))
     elif form is Format.JSON:

@@ -96,7 +96,7 @@ def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
     """
     with bootstrap.services(home) as services:
         checked = rigs.check(services, rig)
-    described, check = checked.rig, checked.found
+    described, check = checked.rig, checked.check
     sensors = {name: check.sensors.get(name, _SIMULATED) for name in described.sensors}
     if as_json:
         pan, tilt = check.stage_rad or (None, None)

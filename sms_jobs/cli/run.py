@@ -71,14 +71,14 @@ def show(name: Name, limit: Limit = 50, home: Home = None, as_json: Json = False
     if as_json:
         output.print_json({"run": found.run} | _story(found))
         return
-    asked = ", ".join(f"{key}={value}" for key, value in found.asked.items())
+    asked = ", ".join(f"{key}={value}" for key, value in found.parameters.items())
     output.print_facts(
         {
             "run": found.run.name,
             "begun": found.run.created_at,
             "by": found.run.created_by,
             "campaigns": ", ".join(found.run.campaigns),
-            "asked": asked or "nothing but the defaults",
+            "parameters": asked or "nothing but the defaults",
             "jobs": _counted(found.run.jobs),
             "kept": "no" if found.run.kept_at is None else found.run.reason or "yes",
         }
@@ -106,7 +106,7 @@ def show(name: Name, limit: Limit = 50, home: Home = None, as_json: Json = False
 
 
 def _story(found: RunStory) -> dict[str, Any]:
-    return {"asked": found.asked, "results": found.results, "missing": found.missing}
+    return {"parameters": found.parameters, "results": found.results, "missing": found.missing}
 
 
 @app.command()
@@ -138,7 +138,7 @@ def compare(
     with bootstrap.services(home) as services, bars.followed(bars.progress_bar()) as tell:
         if out is not None and out.suffix == ".html":
             page = run_comparison.compare_runs_page(services, before, after, tell=tell)
-            found, content = page.found, page.html
+            found, content = page.comparison, page.html
         else:
             found = run_comparison.compare_runs(services, before, after, tell=tell)
             content = run_comparison.table(found)
@@ -180,7 +180,7 @@ def _tell_changes(found: RunComparison) -> None:
                 _value(one.before),
                 _value(one.after),
                 one.results,
-                "yes" if one.asked else "no",
+                "yes" if one.intended else "no",
             )
             for one in found.changes
         ],

@@ -64,7 +64,7 @@ def serve(
     hosts = names | frozenset((*_LOOPBACK, address)) if local or names else frozenset()
     output.log_to_stderr()
     with bootstrap.services(home, "web") as services:
-        if not (local and not behind_proxy) and not people.anybody(services):
+        if not (local and not behind_proxy) and not people.has_people(services):
             raise InvalidInput(
                 "nobody has a name here, so that everybody on the network could do everything; "
                 "'sms person add' gives the first"

@@ -8,7 +8,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring import recordings, streams
-from sms_jobs.app.measuring.recordings import Begun
+from sms_jobs.app.measuring.recordings import Started
 from sms_jobs.app.measuring.streams import Task
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli import output, waiting
@@ -176,7 +176,7 @@ def _show(campaign: str, found: StreamRehearsal, as_json: bool) -> None:
         raise typer.Exit(_FINDINGS)
 
 
-def _follow(services: Services, campaign: str, begun: Begun, as_json: bool) -> None:
+def _follow(services: Services, campaign: str, begun: Started, as_json: bool) -> None:
     """Wait for a stream and say what came of it; raise `JobFailed` when it did not succeed."""
     with waiting.followed() as tell:
         done = streams.wait_for_stream(services, begun, tell)

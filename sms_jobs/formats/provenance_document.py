@@ -53,7 +53,7 @@ class DocumentedActivity:
     ----------
     name
         Unique among activities.
-    begun, ended
+    started, ended
         None where nobody knows.
     program_version, host, operator
         Empty where nobody knows.
@@ -61,19 +61,19 @@ class DocumentedActivity:
         Kind, version, parameters and whatever else is known.
     used
         Its inputs.
-    made
+    outputs
         Paths of its outputs, each with the time when it was made.
     """
 
     name: str
-    begun: datetime | None
+    started: datetime | None
     ended: datetime | None
     program_version: str
     host: str
     operator: str
     attributes: Mapping[str, Any]
     used: tuple[DocumentedInput, ...]
-    made: tuple[tuple[str, datetime], ...]
+    outputs: tuple[tuple[str, datetime], ...]
 
 
 def provenance_document(
@@ -107,7 +107,7 @@ def provenance_document(
         _associate(one, activity, parts["agent"], relate)
         for given in one.used:
             relate("used", activity=activity, entity=_file(given.path), role=given.role)
-        for path, made_at in one.made:
+        for path, made_at in one.outputs:
             relate("wasGeneratedBy", entity=_file(path), activity=activity, time=made_at.isoformat())
             for given in one.used:
                 relate(
@@ -138,8 +138,8 @@ def _entity(one: DocumentedFile) -> dict[str, Any]:
 
 def _activity(one: DocumentedActivity) -> dict[str, Any]:
     attributes: dict[str, Any] = {f"sms:{name}": v for name, v in one.attributes.items() if v is not None}
-    if one.begun is not None:
-        attributes["prov:startTime"] = one.begun.isoformat()
+    if one.started is not None:
+        attributes["prov:startTime"] = one.started.isoformat()
     if one.ended is not None:
         attributes["prov:endTime"] = one.ended.isoformat()
     return attributes

@@ -89,7 +89,7 @@ def keep(finished: Mapping[str, Finished], *, together: bool) -> None:
             (marker.parent / before).unlink()
 
 
-def kept(spool: Path) -> dict[str, Finished]:
+def finished_sets(spool: Path) -> dict[str, Finished]:
     """Return what is whole in a spool, by view."""
     facts = {path.stem: _read(path) for path in sorted(spool.glob("*.json"))}
     files = {view: one["file"] for view, one in facts.items()}
@@ -138,7 +138,7 @@ def recorded(spool: Path, view: str, sequence: FringeSequence) -> tuple[Measurem
 
     Of a camera without a projector the image is the texture, and the only frame.
     """
-    known = kept(spool)[view]
+    known = finished_sets(spool)[view]
     file = Spooled(known.path)
     about, frames = file.header.about, file.header.frames
     projected = bool(view_of(view).projectors)
@@ -193,7 +193,7 @@ def interrupted(spool: Path, view: str, sequence: FringeSequence) -> list[Interr
 
 def set_aside_interrupted(spool: Path) -> None:
     """Mark the files of sets that broke off, so that nobody takes them for more than they are."""
-    whole = kept(spool)
+    whole = finished_sets(spool)
     for marker in spool.glob("*.json"):
         if marker.stem not in whole:  # of cameras that were exposed together, and not all were kept
             marker.unlink()

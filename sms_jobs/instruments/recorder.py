@@ -20,8 +20,8 @@ from sms_jobs.errors import InstrumentError, InvalidInput, StorageFull
 from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import (
+    finished_sets,
     frames_of,
-    kept,
     set_aside_interrupted,
 )
 from sms_jobs.instruments.recording_sets import Adaptation, FringeSet, LampSet, RecordedSet
@@ -69,7 +69,7 @@ def record_state(
     limits.require_channels(rig.name, rig.channels)
     spool.mkdir(parents=True, exist_ok=True)
     set_aside_interrupted(spool)
-    there = kept(spool)
+    there = finished_sets(spool)
     missing = [view for view in views if view not in there]
     _require_sensors(rig, missing)
     _require_room(rig, missing, sequence, spool)

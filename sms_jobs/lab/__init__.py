@@ -51,13 +51,13 @@ class FoundFiles:
     """Files that were found, the newest first, each with what was asked about it."""
 
     columns: tuple[str, ...]
-    found: tuple[Found, ...]
+    rows: tuple[Found, ...]
 
     def __len__(self) -> int:
-        return len(self.found)
+        return len(self.rows)
 
     def __iter__(self) -> Iterator[FileView]:
-        return (one.file for one in self.found)
+        return (one.file for one in self.rows)
 
     def table(self) -> pandas.DataFrame:
         """Return a row for each file: number, kind, subject, when it was made, and what was asked.
@@ -72,7 +72,7 @@ class FoundFiles:
                 "created": f.file.created_at,
             }
             | f.values
-            for f in self.found
+            for f in self.rows
         ]
         return _frames().DataFrame(rows, columns=list(dict.fromkeys([*_OF_EVERY_FILE, *self.columns])))
 
@@ -129,7 +129,7 @@ class Lab:
             It names a campaign or calibration that is not there.
         """
         pages = list(self._source.find(query, columns, limit))
-        return FoundFiles(pages[0].columns, tuple(found for page in pages for found in page.found))
+        return FoundFiles(pages[0].columns, tuple(found for page in pages for found in page.rows))
 
     def states(
         self, query: str = "", *, columns: Sequence[str] | None = None, limit: int = 100_000
@@ -160,7 +160,7 @@ class Lab:
         """
         frames = _frames()
         pages = list(self._source.states(query, columns, limit))
-        found = [one for page in pages for one in page.found]
+        found = [one for page in pages for one in page.rows]
         titles, rows = table_of(pages[0].columns, pages[0].by_view, found)
         table: pandas.DataFrame = frames.DataFrame(list(rows), columns=titles)
         table.attrs["next"] = pages[-1].next

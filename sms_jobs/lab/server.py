@@ -76,7 +76,7 @@ class Server:
 
     def states(self, query: str, columns: Sequence[str] | None, limit: int) -> Iterator[StatePage]:
         """Yield the states that meet a query, page by page; at least one page."""
-        for told in self._pages("/data/states", "found", query, columns, limit):
+        for told in self._pages("/data/states", "states", query, columns, limit):
             yield _state_page(told)
 
     def _pages(
@@ -150,7 +150,7 @@ class Server:
         done = self._connection.post("/jobs", body)
         refused = tuple(Refusal(**one) for one in done["refused"])
         estimate = _ESTIMATE.validate_python(done["estimate"])
-        return Submitted.told(done["jobs"], done["counted"], estimate, refused)
+        return Submitted.from_server(done["jobs"], done["counted"], estimate, refused)
 
     def compare_runs(self, before: str, after: str) -> RunComparison:
         """Return what differs between two runs."""
@@ -214,7 +214,7 @@ def _state_page(told: dict[str, Any]) -> StatePage:
             one["views"],
             None if one["met_by"] is None else tuple(one["met_by"]),
         )
-        for one in told["found"]
+        for one in told["states"]
     )
     return StatePage(tuple(told["columns"]), tuple(told["by_view"]), tuple(found), told["next"])
 

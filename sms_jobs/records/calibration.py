@@ -140,7 +140,7 @@ class Estimate:
     sigma: float | None = None
     sphere: int | None = None
 
-    def told(self) -> dict[str, float]:
+    def labelled(self) -> dict[str, float]:
         """Return it as tables for people have it, by names that carry the unit."""
         name, unit = name_of(self.what, self.owner, self.sphere), self.what.unit
         told = {f"{name} [{unit}]": self.value}

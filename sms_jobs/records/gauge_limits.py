@@ -73,7 +73,7 @@ def gauge_limit(text: str, what: str) -> GaugeLimit:
 class Look:
     """Whether there is a quick look at a state once it is recorded, and which limits hold the plan."""
 
-    wanted: bool
+    enabled: bool
     stop_if: tuple[GaugeLimit, ...] = ()
 
 

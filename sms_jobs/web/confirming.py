@@ -8,13 +8,13 @@ from pydantic import Field, SecretStr
 
 from sms_jobs.app.accounts import people
 from sms_jobs.bootstrap import Services
-from sms_jobs.web.asked import Asked, Text
+from sms_jobs.web.request_bodies import RequestBody, Text
 
 Reason = Annotated[Text, Field(description="Why it is done; the audit keeps it.")]
 Password = Annotated[SecretStr, Field(strict=False, max_length=1024)]
 
 
-class Confirmed(Asked):
+class Confirmed(RequestBody):
     """What comes with the password of whoever asks, and with a reason."""
 
     password: Annotated[

@@ -84,7 +84,7 @@ class Pages:
         return self.router.get(path, response_class=HTMLResponse, dependencies=[Depends(permitted)])
 
 
-class AskedPage:
+class PageRequest:
     """A page that somebody asked for.
 
     Attributes
@@ -102,7 +102,7 @@ class AskedPage:
         return HTMLResponse(rendered(template, **frame(self._request, self.services), **shown))
 
 
-Page = Annotated[AskedPage, Depends(AskedPage)]
+Page = Annotated[PageRequest, Depends(PageRequest)]
 """A parameter of an endpoint: the page that was asked for."""
 
 

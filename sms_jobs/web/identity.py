@@ -69,7 +69,7 @@ def _services_for(request: Request) -> Services:
             return own.acting(people.actor_of(own, secret, origin))
         except NotAllowed as error:
             raise NobodyKnown(str(error)) from error
-    if _at_the_desk(origin) and request.app.state.desk and not people.anybody(own):
+    if _at_the_desk(origin) and request.app.state.desk and not people.has_people(own):
         return own.acting(replace(own.actor, via="web", origin=origin))
     raise NobodyKnown("nobody is logged in; log in at /login, or send a token as 'Authorization: Bearer ...'")
 

@@ -24,7 +24,7 @@ from sms_jobs.jobs.archiving.registration import Registered, register_calibratio
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.keeping import repair
 from sms_jobs.jobs.keeping.verification import check_known
-from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.estimates import estimate
 from sms_jobs.jobs.planning.foreseen import foreseen_reuse
 from sms_jobs.jobs.planning.graph import Request
@@ -114,7 +114,7 @@ def reused(
     with catalogue.writing() as session:
         again = submit(session, campaign, SHAPES, clock()).job_ids
         assert foreseen_reuse(session, again) == set(again)
-        assert estimate(session, named(again), clock(), 1).reused == len(again)
+        assert estimate(session, by_ids(again), clock(), 1).reused == len(again)
     runner(catalogue, archive, clock).run_queued()
     with catalogue.reading() as session:
         assert all(session.get_one(JobRow, job).reused_from for job in again)

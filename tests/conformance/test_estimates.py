@@ -16,7 +16,7 @@ from support.jobs import JOBS, NOW, accept_calibration, submit_pipeline
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, WorkerRow
-from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.estimates import ends, estimate, pace
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit
@@ -75,7 +75,7 @@ def let_all_succeed(
 
 def told(catalogue: Catalogue, job_ids: Sequence[str], at: datetime = NOW, workers: int = 2) -> Estimate:
     with catalogue.reading() as session:
-        return estimate(session, named(job_ids), at, workers)
+        return estimate(session, by_ids(job_ids), at, workers)
 
 
 def test_without_history_nothing_is_told_but_what_is_missing(catalogue: Catalogue) -> None:
@@ -213,17 +213,17 @@ def test_the_pace_is_that_of_the_last_minutes_without_what_was_reused(catalogue:
     let_all_succeed(catalogue, at=NOW - timedelta(hours=1))
     new = submitted(catalogue, "plate", "simulate")
     with catalogue.reading() as session:
-        assert pace(session, named(new), NOW) is None
+        assert pace(session, by_ids(new), NOW) is None
     let_all_succeed(catalogue)
     both = [*old, *new]
     with catalogue.reading() as session:
         # Two jobs in the last ten minutes; since its first start, less than a minute ago, of the new ones.
-        assert pace(session, named(both), NOW + timedelta(seconds=30)) == pytest.approx(2 / 10)
-        assert pace(session, named(new), NOW + timedelta(seconds=30)) == pytest.approx(2 / 0.5)
-        assert pace(session, named(new), NOW + timedelta(hours=1)) is None
+        assert pace(session, by_ids(both), NOW + timedelta(seconds=30)) == pytest.approx(2 / 10)
+        assert pace(session, by_ids(new), NOW + timedelta(seconds=30)) == pytest.approx(2 / 0.5)
+        assert pace(session, by_ids(new), NOW + timedelta(hours=1)) is None
     with catalogue.writing() as session:
         session.execute(update(JobRow).where(JobRow.id == new[0]).values(reused_from=old[0]))
-        assert pace(session, named(new), NOW + timedelta(seconds=30)) == pytest.approx(1 / 0.5)
+        assert pace(session, by_ids(new), NOW + timedelta(seconds=30)) == pytest.approx(1 / 0.5)
 
 
 def test_jobs_that_end_while_one_asks_are_no_error(catalogue: Catalogue, deployment: Deployment) -> None:

@@ -48,7 +48,9 @@ def tree(catalogue: Catalogue, file: int, *, down: bool = False) -> Family:
 
 def shown(some: Sequence[Ancestor]) -> list[object]:
     """Return the numbers in a tree, nested; one whose inputs are shown elsewhere with a minus."""
-    return [-a.file.id if a.told else (a.file.id, shown(a.inputs)) if a.inputs else a.file.id for a in some]
+    return [
+        -a.file.id if a.repeated else (a.file.id, shown(a.inputs)) if a.inputs else a.file.id for a in some
+    ]
 
 
 def test_each_file_is_followed_once_where_it_is_nearest(catalogue: Catalogue) -> None:

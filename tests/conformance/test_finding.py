@@ -190,9 +190,9 @@ def test_the_answers_are_those_of_looking_at_every_file(
         for text, meets in QUESTIONS:
             expected = sorted((f.id for f in files if meets(f)), reverse=True)
             page = ask(catalogue, text, limit=5000)
-            assert [one.file.id for one in page.found] == expected, text
+            assert [one.file.id for one in page.rows] == expected, text
             assert page.next is None
-    asked = ask(catalogue, "strain where load_kN > 1400 and param.method = fdr", limit=1).found[0]
+    asked = ask(catalogue, "strain where load_kN > 1400 and param.method = fdr", limit=1).rows[0]
     plain = next(f for f in files if f.id == asked.file.id)
     # The value in the unit of the question, and back: a rounding or two.
     assert asked.values["load_kN"] == pytest.approx(plain.load_n / 1000.0, rel=1e-12)
@@ -215,7 +215,7 @@ def test_a_day_lasts_from_midnight_to_midnight(catalogue: Catalogue) -> None:
             )
 
     def count(text: str) -> int:
-        return len(ask(catalogue, f"report where created {text}").found)
+        return len(ask(catalogue, f"report where created {text}").rows)
 
     assert count("= 2026-05-01") == count("<= 2026-05-01") == count(">= 2026-05-01") == 5
     assert count("between 2026-04-01 and 2026-05-01") == 5
@@ -232,13 +232,13 @@ def test_pages_make_up_the_whole_and_nothing_comes_twice(
     catalogue: Catalogue, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     many_files.fill(catalogue, 640)
-    whole = [one.file.id for one in ask(catalogue, text, limit=1000).found]
+    whole = [one.file.id for one in ask(catalogue, text, limit=1000).rows]
     for few in (query_files.FEW, -1):
         monkeypatch.setattr(query_files, "FEW", few)
         pages, after = [], None
         while True:
             page = ask(catalogue, text, limit=37, after=after)
-            pages.append([one.file.id for one in page.found])
+            pages.append([one.file.id for one in page.rows])
             if page.next is None:
                 break
             after = page.next
@@ -320,7 +320,7 @@ def test_calibrations_are_a_column(catalogue: Catalogue) -> None:
         session.add(CalibrationRow(id=12, rig_id=1, file_id=9, valid_from=NOW, origin="", sensors={}))
         session.flush()
         session.add(CalibrationUseRow(calibration_id=12, file_id=10_001))
-    found = ask(catalogue, "file between 10000 and 10002", columns=["file", "calibration"]).found
+    found = ask(catalogue, "file between 10000 and 10002", columns=["file", "calibration"]).rows
     assert [one.values["calibration"] for one in found] == ["1", "1, 12", None]
 
 
@@ -338,7 +338,7 @@ def test_options_and_query_have_both_to_be_met(catalogue: Catalogue) -> None:
         parse("load_kN > 0 or load_kN <= 0"), kind="strain", campaign="c00000", state="S01", view="C1P2"
     )
     with catalogue.reading() as session:
-        (found,) = find_page(session, asked, KNOWN).found
+        (found,) = find_page(session, asked, KNOWN).rows
     assert found.file.subject == "c00000/S01/C1P2"
     assert list(found.values) == ["load_kN"]
     with pytest.raises(InvalidInput, match="the query asks for strain, but kind is correlate"):

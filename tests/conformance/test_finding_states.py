@@ -49,7 +49,7 @@ def ask(catalogue: Catalogue, text: str, **more: Any) -> StatePage:
 
 
 def names(page: StatePage) -> list[str]:
-    return [f"{one.values['campaign']}/{one.values['state']}" for one in page.found]
+    return [f"{one.values['campaign']}/{one.values['state']}" for one in page.rows]
 
 
 @dataclass
@@ -236,8 +236,8 @@ def test_what_is_told_is_what_the_newest_results_tell(filled: Catalogue) -> None
     page = ask(filled, "load > 0 kN and strain.valid_fraction < 0.2 and time in 2020", limit=1000)
     assert page.columns == ("campaign", "state", "load_kN", "time", "strain.valid_fraction")
     assert page.by_view == ("strain.valid_fraction",)
-    assert len(page.found) > 20
-    for one, name in zip(page.found, names(page), strict=True):
+    assert len(page.rows) > 20
+    for one, name in zip(page.rows, names(page), strict=True):
         plain = by_name[name]
         # The mean over views and the change of unit: a few roundings.
         assert one.values["load_kN"] == pytest.approx(plain.load_n / 1e3, rel=1e-12)
@@ -251,7 +251,7 @@ def test_what_is_told_is_what_the_newest_results_tell(filled: Catalogue) -> None
 
 
 def one_of(page: StatePage) -> FoundState:
-    (found,) = page.found
+    (found,) = page.rows
     return found
 
 
@@ -260,8 +260,8 @@ def test_columns_are_those_that_are_asked_for(filled: Catalogue) -> None:
     found = ask(filled, "campaign = c00000 and state in (S01, S02)", columns=columns)
     assert found.columns == columns
     assert found.by_view == ("correlate.median_sigma_um",)
-    assert [one.values["merge.faces"] for one in found.found] == [12.0, None]
-    assert all(len(one.views) == 4 and one.met_by is None for one in found.found)
+    assert [one.values["merge.faces"] for one in found.rows] == [12.0, None]
+    assert all(len(one.views) == 4 and one.met_by is None for one in found.rows)
 
 
 @pytest.mark.parametrize("text", ["", "strain.valid_fraction < 0.5 or load > 1 MN"])

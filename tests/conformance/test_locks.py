@@ -37,7 +37,7 @@ def take(catalogue: Catalogue, held: Claim, *names: str) -> None:
 def alive(catalogue: Catalogue, at: timedelta = timedelta()) -> dict[str, str | None]:
     """Return who holds what, by device."""
     with catalogue.reading() as session:
-        return {k.device: k.job_id or k.holder for k in locks.held(session, NOW + at) if k.alive}
+        return {k.device: k.job_id or k.holder for k in locks.held_devices(session, NOW + at) if k.alive}
 
 
 def need(catalogue: Catalogue, job_ids: tuple[str, ...], *devices: str) -> None:
@@ -68,7 +68,7 @@ def test_what_is_held_already_is_held_since_then(catalogue: Catalogue) -> None:
     take(catalogue, held, "stage/A")
     with catalogue.writing() as session:
         locks.acquire(session, RIG, held.job_id, held.fence, NOW + LEASE)
-        since = {lock.device: lock.since for lock in locks.held(session, NOW)}
+        since = {lock.device: lock.since for lock in locks.held_devices(session, NOW)}
     assert since == {"camera/C1": NOW + LEASE, "projector/P1": NOW + LEASE, "stage/A": NOW}
 
 
@@ -95,7 +95,7 @@ def test_the_reconciler_frees_what_a_lost_job_held(catalogue: Catalogue) -> None
     take(catalogue, held, *RIG)
     with catalogue.writing() as session:
         assert recovery.recover(session, NOW, "w1", 3, set) == [held.job_id]
-        assert locks.held(session, NOW) == []
+        assert locks.held_devices(session, NOW) == []
     # The late attempt, if its process lives on, gets nothing any more.
     with pytest.raises(LeaseLost):
         take(catalogue, held, *RIG)

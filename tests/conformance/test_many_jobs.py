@@ -96,7 +96,7 @@ def test_questions_about_many_are_as_short_as_those_about_few(filled: Catalogue)
         queued = select(JobRow.id).where(JobRow.state == JobState.QUEUED).order_by(JobRow.position)
         first = session.scalars(queued.limit(8)).all()
         # Those at the front of many are looked at one by one: not many come before them.
-        assert estimate(session, chosen.named(first), NOW, 2).looked_at is None
+        assert estimate(session, chosen.by_ids(first), NOW, 2).looked_at is None
 
 
 def test_a_campaign_is_cancelled_and_tried_again_part_by_part(filled: Catalogue) -> None:
@@ -168,7 +168,7 @@ def test_what_had_ended_before_is_not_waited_for(filled: Catalogue) -> None:
 
 def test_too_many_names_are_refused() -> None:
     with pytest.raises(InvalidInput, match="1001 jobs are named, and at most 1000 can be"):
-        chosen.named(["a"] * 1001)
+        chosen.by_ids(["a"] * 1001)
 
 
 def test_campaigns_are_listed_by_a_few_statements(

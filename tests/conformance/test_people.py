@@ -87,11 +87,11 @@ def test_nobody_has_a_name_before_an_administrator_has(deployment: Deployment) -
             patch.setenv(name, value)
         bootstrap.initialise(deployment.home)
         with bootstrap.services(deployment.home) as services:
-            assert not people.anybody(services)
+            assert not people.has_people(services)
             with pytest.raises(Conflict, match="has to be an administrator, not viewer"):
                 people.add(services, "ben", Role.VIEWER, HIS)
             people.add(services, "anna", Role.ADMINISTRATOR)
-            assert people.anybody(services)
+            assert people.has_people(services)
 
 
 @pytest.mark.parametrize("name", ["", "a b", "nobody", "service", "x" * 65])

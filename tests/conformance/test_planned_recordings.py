@@ -50,7 +50,7 @@ def put(catalogue: Catalogue, *labels: str, trigger: Trigger | None = None, at: 
 
 def shown(catalogue: Catalogue) -> list[PlannedRecording]:
     with catalogue.reading() as session:
-        return planned_recordings.shown(session, NOW, "wing")
+        return planned_recordings.list_planned(session, NOW, "wing")
 
 
 def order(catalogue: Catalogue) -> list[str]:

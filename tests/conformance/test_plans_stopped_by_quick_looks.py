@@ -115,7 +115,7 @@ def due(catalogue: Catalogue) -> list[str]:
 
 def following(catalogue: Catalogue) -> PlannedRecording:
     with catalogue.reading() as session:
-        return next(one for one in planned_recordings.shown(session, NOW, "wing") if one.is_next)
+        return next(one for one in planned_recordings.list_planned(session, NOW, "wing") if one.is_next)
 
 
 def told(catalogue: Catalogue) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import Cancelled, Conflict, OverLimit
 from sms_jobs.jobs.asking import inquiry
-from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.running import lifecycle, limits, orders, queues, recovery
 from sms_jobs.jobs.running.limits import Force, Limits, Watch
 from sms_jobs.records.job import JobState
@@ -53,14 +53,14 @@ def test_jobs_are_moved_before_and_behind_all_others(catalogue: Catalogue) -> No
     first = submit_pipeline(catalogue)
     second = submit_pipeline(catalogue, name="second", priority=3)
     with catalogue.writing() as session:
-        assert queues.move(session, named(first), "front") == len(first)
+        assert queues.move(session, by_ids(first), "front") == len(first)
     held = claim(catalogue)
     assert held is not None
     assert held.job_id in first
     with catalogue.writing() as session:
-        assert queues.move(session, named(first), "back") == len(first) - 1
+        assert queues.move(session, by_ids(first), "back") == len(first) - 1
         with pytest.raises(Conflict, match="begun or ended"):
-            queues.move(session, named([held.job_id]), "front")
+            queues.move(session, by_ids([held.job_id]), "front")
     held = claim(catalogue)
     assert held is not None
     assert held.job_id in second
@@ -71,7 +71,7 @@ def test_moved_jobs_keep_the_order_among_themselves(catalogue: Catalogue) -> Non
     submit_pipeline(catalogue, name="second")
     for to in ("front", "back"):
         with catalogue.writing() as session:
-            queues.move(session, named(moved), "front" if to == "front" else "back")
+            queues.move(session, by_ids(moved), "front" if to == "front" else "back")
             place = {i: session.get_one(JobRow, i).position for i in moved}
             for job_id in moved:
                 assert all(place[needed] < place[job_id] for needed in ids(session, job_id))
@@ -84,8 +84,8 @@ def test_priorities_are_given_to_jobs_that_have_not_begun(catalogue: Catalogue) 
     held = claim(catalogue)
     assert held is not None
     with catalogue.writing() as session:
-        assert queues.set_priority(session, named(second), 7) == len(second)
-        assert queues.set_priority(session, named(first), 9) == len(first) - 1
+        assert queues.set_priority(session, by_ids(second), 7) == len(second)
+        assert queues.set_priority(session, by_ids(first), 9) == len(first) - 1
     held = claim(catalogue)
     assert held is not None
     assert held.job_id in first

@@ -71,7 +71,7 @@ def ask(catalogue: Catalogue, text: str, columns: list[str] | None = None) -> Pa
 
 
 def found(catalogue: Catalogue, text: str) -> set[tuple[str, str]]:
-    return {(one.file.source, one.file.subject.removeprefix("plate")) for one in ask(catalogue, text).found}
+    return {(one.file.source, one.file.subject.removeprefix("plate")) for one in ask(catalogue, text).rows}
 
 
 def kinds(catalogue: Catalogue, text: str) -> set[str]:
@@ -93,7 +93,7 @@ def check_questions(catalogue: Catalogue) -> None:
     # The report shows both states, so that it is as young as the younger; it has no load of its own.
     assert found(catalogue, since) == heavy | found(catalogue, "report")
     assert found(catalogue, "report where load_n > 0") == set()
-    asked = ask(catalogue, "state = S01", ["load_kN", "planned_load_kN", "temp_c", "time"]).found
+    asked = ask(catalogue, "state = S01", ["load_kN", "planned_load_kN", "temp_c", "time"]).rows
     assert {tuple(one.values.values()) for one in asked} == {(1.187, 1.2, 21.5, moments[1])}
 
 
@@ -114,11 +114,11 @@ def test_results_are_found_by_time_and_load_of_their_recording(
     # Recorded again, old and new results are each of their own recording.
     record(catalogue, recorded, clock, "S01", (1.25, 22.0))
     run_jobs(catalogue, recorded, clock, [Request("reconstruct", states=("S01",))])
-    newer, older = ask(catalogue, "reconstruct where load_n > 100").found
+    newer, older = ask(catalogue, "reconstruct where load_n > 100").rows
     assert [one.values["load_n"] for one in (newer, older)] == pytest.approx([1250.0, 1187.0])
     with catalogue.writing() as session:
         retention.forget(session, [older.file.id])
-    assert len(ask(catalogue, "reconstruct where load_n > 100").found) == 1
+    assert len(ask(catalogue, "reconstruct where load_n > 100").rows) == 1
 
 
 def assert_charted(catalogue: Catalogue, archive: Archive) -> None:

@@ -87,7 +87,7 @@ def test_a_run_names_what_was_made_and_what_was_reused(compared: Services) -> No
     for kind in ("correlate", "strain", "gauges"):
         assert set(today[kind, TUPLE]).isdisjoint(wider[kind, TUPLE])
     story = runs.show(compared, "wider")
-    assert story.asked == GAUGE | RADIUS
+    assert story.parameters == GAUGE | RADIUS
     assert story.missing == {}
     assert story.run.jobs == {"succeeded": len(story.results)}
     (reused,) = (one for one in story.results if (one.kind, one.subject) == shape)
@@ -100,7 +100,7 @@ def test_what_differs_is_what_the_fields_say(compared: Services) -> None:
     found = run_comparison.compare_runs(compared, "today", "wider")
     (change,) = found.changes
     assert (change.what, change.kind, change.name) == ("parameter", "correlate", "subset_radius_px")
-    assert (change.after, change.results, change.asked) == (8, 1, True)
+    assert (change.after, change.results, change.intended) == (8, 1, True)
     assert found.only_before == {"simulate": 2}
     by_name = {(one.subject, one.quantity): one for one in found.differences}
     assert {quantity for _, quantity in by_name} == {
@@ -143,8 +143,8 @@ def test_a_page_shows_where(compared: Services) -> None:
     assert "change of strain xx" in page.html
     assert "correlate.subset_radius_px" in page.html
     assert page.html.count('class="view"') == 1
-    assert page.found == run_comparison.compare_runs(compared, "today", "wider")
-    assert run_comparison.table(page.found).count("\n") == 1 + len(page.found.differences)
+    assert page.comparison == run_comparison.compare_runs(compared, "today", "wider")
+    assert run_comparison.table(page.comparison).count("\n") == 1 + len(page.comparison.differences)
 
 
 def test_the_command_shows_changes_and_differences(compared: Services) -> None:

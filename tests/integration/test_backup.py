@@ -26,7 +26,7 @@ from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.keeping import backups, verification
-from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.jobs.running import recovery
@@ -77,7 +77,7 @@ def test_every_snapshot_fits_its_files_whatever_jobs_seal_meanwhile(home: Path, 
             jobs = submit_recording(services)
             while not stood or inquiry.still_active(stood[-1]):
                 with services.catalogue.reading() as session:
-                    stood.append(inquiry.counts(session, named(jobs)))
+                    stood.append(inquiry.counts(session, by_ids(jobs)))
                 back_up(services, kept, NOW + timedelta(seconds=len(stood)))
         assert stood[-1] == {"succeeded": len(jobs)}
     taken = backups.snapshots(kept)

@@ -179,7 +179,7 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
             assert (away.host, away.here, away.finished) == (waiting.host, False, ())
             assert "cannot be asked for twice" in waiting.reason
             with services.catalogue.reading() as session:
-                assert not locks.held(session, datetime.now(UTC))
+                assert not locks.held_devices(session, datetime.now(UTC))
             kept = spooled(home)
             assert seen <= kept < FRAMES
             first = Spooled(next((home / "spool").glob("*/C1P1.*.frames")))

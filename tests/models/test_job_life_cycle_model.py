@@ -35,7 +35,7 @@ from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
 from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import Entry
-from sms_jobs.jobs.planning.chosen import named
+from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.jobs.results import reuse
@@ -296,14 +296,14 @@ class JobLives(JobModel):
         mine = [job for job in before if job in some]
         if isinstance(to, int):
             with self.catalogue.writing() as session:
-                assert queues.set_priority(session, named(sorted(some)), to) == len(mine)
+                assert queues.set_priority(session, by_ids(sorted(some)), to) == len(mine)
             return
         with self.catalogue.writing() as session:
             if not mine:
                 with pytest.raises(Conflict):
-                    queues.move(session, named(sorted(some)), to)
+                    queues.move(session, by_ids(sorted(some)), to)
                 return
-            assert queues.move(session, named(sorted(some)), to) == len(mine)
+            assert queues.move(session, by_ids(sorted(some)), to) == len(mine)
         rest = [job for job in before if job not in some]
         assert self.line() == (mine + rest if to == "front" else rest + mine)
 

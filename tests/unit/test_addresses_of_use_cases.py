@@ -23,7 +23,7 @@ WITHOUT_ADDRESS = {
     "audit.export": AT_THE_SERVER,  # GET /audit tells the same
     "audit.head": AT_THE_SERVER,  # is kept where the server cannot change it
     "audit.verify": PART,  # POST /archive/verify
-    "calibration_worth.candidate": PART,  # of the page on which a calibration is certified
+    "calibration_overview.candidate": PART,  # of the page on which a calibration is certified
     "calibrations.show": PART,  # GET /calibrations/{number}
     "campaigns.definition": PART,  # GET /campaigns/{name}
     "campaigns.names": PART,  # GET /campaigns
@@ -40,7 +40,7 @@ WITHOUT_ADDRESS = {
     "readings.arrange_readings": PART,
     "outcomes.existing_campaign": PART,
     "jobs.choose": PART,  # of all that takes jobs
-    "kernels.left": AT_THE_SERVER,
+    "kernels.kernels_left": AT_THE_SERVER,
     "openid.begin": IN_A_PAGE,
     "openid.complete": IN_A_PAGE,
     "openid.is_offered": IN_A_PAGE,
@@ -48,7 +48,7 @@ WITHOUT_ADDRESS = {
     "packing.pack": AT_THE_SERVER,  # to a disk that is carried away
     "packing.unpack": AT_THE_SERVER,
     "people.actor_of": PART,  # of every request
-    "people.anybody": PART,
+    "people.has_people": PART,
     "people.confirmed": PART,
     "reading.newest": PART,  # GET /data/newest, then its arrays
     "reading.of_file": PART,  # GET /data/{key}/record

@@ -94,7 +94,7 @@ def test_an_upload_ends_after_a_day_unless_it_is_used(services: Services) -> Non
     for upload in (kept, ended):
         about = folder / upload / "about.json"
         long_ago = datetime.now(UTC) - timedelta(days=1, seconds=1)
-        about.write_text(json.dumps(json.loads(about.read_text()) | {"begun_at": long_ago.isoformat()}))
+        about.write_text(json.dumps(json.loads(about.read_text()) | {"started_at": long_ago.isoformat()}))
     with pytest.raises(NotFound, match="has ended"):
         uploads.show(services, ended)
     with uploads._opened(folder / kept):

@@ -74,10 +74,10 @@ class NewToken:
 
 
 @use_case(None)
-def anybody(services: Services) -> bool:
-    """Return whether anybody has a name here; before that, everybody at the desk may do everything."""
+def has_people(services: Services) -> bool:
+    """Return whether has_people has a name here; before that, everybody at the desk may do everything."""
     with services.catalogue.reading() as session:
-        return known.anybody(session)
+        return known.has_people(session)
 
 
 @use_case(None)
@@ -180,7 +180,7 @@ def add(services: Services, name: str, role: Role, password: SecretStr | None = 
         raise InvalidInput(f"'{name}' stands for others in the audit; choose another name")
     hashed = None if password is None else _hashed(_checked(password))
     with services.catalogue.writing() as session:
-        if role is not Role.ADMINISTRATOR and not known.anybody(session):
+        if role is not Role.ADMINISTRATOR and not known.has_people(session):
             raise Conflict(
                 f"the first person has to be an administrator, not {role.value}: from then on everybody is "
                 "asked who they are; add that one first"
@@ -316,7 +316,7 @@ def list_access(services: Services, name: str | None = None) -> list[AccessView]
 
 @use_case(Right.OWN)
 def revoke(services: Services, access_id: str) -> AccessView:
-    """Let a token or session let nobody in any more: one's own or, as an administrator, anybody's.
+    """Let a token or session let nobody in any more: one's own or, as an administrator, has_people's.
 
     Raises
     ------

@@ -64,7 +64,7 @@ def show(services: Services, number: int) -> KnownCalibration:
 
 
 @dataclass(frozen=True)
-class Worth:
+class QualitySummary:
     """The few numbers by which a calibration is judged; None for one that is not known.
 
     Attributes
@@ -73,7 +73,7 @@ class Worth:
         What fixes the world's frame, and what lengths were taken from.
     shape_sigma_mm
         Deviation of a point, but for motions and the scale of the whole.
-    found
+    estimates
         What was found of the artefacts themselves; names carry the unit.
     residuals, parameters
         Of the adjustment.
@@ -92,7 +92,7 @@ class Worth:
     gauge: str
     scale: str
     shape_sigma_mm: float | None
-    found: dict[str, float]
+    estimates: dict[str, float]
     residuals: int
     parameters: int
     rms_by_type: dict[str, float | None]
@@ -104,12 +104,12 @@ class Worth:
     expected_largest_mm: float | None
 
 
-def worth_of(quality: CalibrationQuality) -> Worth:
+def quality_summary(quality: CalibrationQuality) -> QualitySummary:
     """Return the few numbers by which a calibration is judged."""
     import numpy as np
 
     expected = quality.expected_sigma[np.isfinite(quality.expected_sigma)]
-    return Worth(
+    return QualitySummary(
         quality.gauge,
         quality.scale,
         quality.shape_sigma_mm,

@@ -25,7 +25,7 @@ _AXES = ("X", "Y", "Z")
 
 
 @dataclass(frozen=True)
-class How:
+class ComparisonOptions:
     """How two displacements are compared.
 
     Attributes
@@ -76,26 +76,26 @@ class Difference:
     alignment_rms_mm: float | None
 
     @property
-    def known(self) -> Mask:
+    def valid(self) -> Mask:
         """Where there is a difference, (n,)."""
         return np.asarray(np.isfinite(self.difference).all(axis=1))
 
     def facts(self) -> dict[str, Any]:
         """Return what people ask for, with units in the names."""
-        length = np.linalg.norm(self.difference[self.known], axis=1)
+        length = np.linalg.norm(self.difference[self.valid], axis=1)
         facts: dict[str, Any] = {
             "points": len(length),
             "of": len(self.points),
             "rms_mm": float(np.sqrt(np.mean(length**2))),
             "largest_mm": float(length.max()),
-            "stated_sigma_mm": float(np.sqrt(np.mean(self.sigma[self.known] ** 2))),
+            "stated_sigma_mm": float(np.sqrt(np.mean(self.sigma[self.valid] ** 2))),
         }
         if self.sigma_calibration is not None:
-            part = self.sigma_calibration[self.known]
+            part = self.sigma_calibration[self.valid]
             facts["stated_sigma_calibration_mm"] = float(np.sqrt(np.mean(part**2)))
         if self.alignment_rms_mm is not None:
             facts["alignment_rms_mm"] = self.alignment_rms_mm
-        for axis, values in zip(_AXES, self.difference[self.known].T, strict=False):
+        for axis, values in zip(_AXES, self.difference[self.valid].T, strict=False):
             facts[f"mean_{axis}_mm"] = float(values.mean())
             facts[f"rms_{axis}_mm"] = float(np.sqrt(np.mean(values**2)))
         return facts
@@ -115,7 +115,7 @@ class Difference:
 
 
 @use_case(Right.READ)
-def difference_of(services: Services, file: str, other: str, how: How) -> Difference:
+def difference_of(services: Services, file: str, other: str, how: ComparisonOptions) -> Difference:
     """Subtract the displacement of a mesh file, or of another merged result, from a merged one.
 
     Parameters
@@ -150,7 +150,7 @@ def difference_of(services: Services, file: str, other: str, how: How) -> Differ
     found = Difference(
         mine.points, difference[:, :axes], measured.sigma, measured.sigma_calibration, residual
     )
-    met = np.count_nonzero(found.known)
+    met = np.count_nonzero(found.valid)
     if met < 3:
         raise InvalidInput(
             f"file {file} and {other} have {met} points within {how.within_mm:g} mm of each other; give "

@@ -51,7 +51,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Alike:
+class SimilarResult:
     """A result of the same kind in the same campaign: the newest of its state and view."""
 
     file: int
@@ -85,7 +85,7 @@ class FieldPage:
         To choose from, the most telling first.
     position, movement
         Names of three quantities that are X, Y, Z of the surface, and of its displacement; None without.
-    alike
+    similar
         In the order of the states, this one among them.
     reruns
         The same computed at other times, the newest first.
@@ -102,7 +102,7 @@ class FieldPage:
     quantities: tuple[Quantity, ...]
     position: tuple[str, ...] | None
     movement: tuple[str, ...] | None
-    alike: tuple[Alike, ...]
+    similar: tuple[SimilarResult, ...]
     reruns: tuple[Rerun, ...]
     turn: tuple[float, ...]
     shift: tuple[float, ...]
@@ -166,7 +166,7 @@ def field_page(services: Services, key: str, part: str | None = None) -> FieldPa
     """
     fields = fields_of(services, key, part)
     file = fields.file
-    alike: list[Alike] = []
+    alike: list[SimilarResult] = []
     reruns: list[Rerun] = []
     turn, shift = np.eye(3), np.zeros(3)
     with services.catalogue.reading() as session:
@@ -209,7 +209,7 @@ def _quantity(one: Placed, file: FileView) -> Quantity:
     )
 
 
-def _alike(file: FileView, found: Iterable[FileView], campaign: Campaign) -> list[Alike]:
+def _alike(file: FileView, found: Iterable[FileView], campaign: Campaign) -> list[SimilarResult]:
     """Return the newest of each state and view, but this one of its own, in the order of the states."""
     newest = {file.subject: file}
     for one in found:
@@ -221,7 +221,9 @@ def _alike(file: FileView, found: Iterable[FileView], campaign: Campaign) -> lis
         (places[about.state], about.view or "", number) for about, number in subjects if about.state in places
     )
     states = campaign.states
-    return [Alike(number, states[k].label, view, states[k].known_load_n) for k, view, number in ordered]
+    return [
+        SimilarResult(number, states[k].label, view, states[k].known_load_n) for k, view, number in ordered
+    ]
 
 
 def _reruns(session: Session, file: FileView, found: Iterable[FileView]) -> list[Rerun]:

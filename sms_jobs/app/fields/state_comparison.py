@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sms_jobs.app.fields.field_comparison import How, difference_of
+from sms_jobs.app.fields.field_comparison import ComparisonOptions, difference_of
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
@@ -41,7 +41,9 @@ class StateDifferences:
 
 
 @use_case(Right.READ)
-def compare_states(services: Services, campaign: str, other: str, kind: str, how: How) -> StateDifferences:
+def compare_states(
+    services: Services, campaign: str, other: str, kind: str, how: ComparisonOptions
+) -> StateDifferences:
     """Subtract another displacement from the merged one at every state that has both, but the first.
 
     Parameters
@@ -92,13 +94,15 @@ def _pairs(services: Services, campaign: str, other: str, kind: str) -> list[tup
     return pairs
 
 
-def _of_state(services: Services, state: LoadState, mine: str, theirs: str, how: How) -> StateDifference:
+def _of_state(
+    services: Services, state: LoadState, mine: str, theirs: str, how: ComparisonOptions
+) -> StateDifference:
     found = difference_of(services, mine, theirs, how)
     return StateDifference(
         state.label,
         state.known_load_n,
         state.known_displacement_mm,
-        found.points[found.known],
-        np.linalg.norm(found.difference[found.known], axis=1),
+        found.points[found.valid],
+        np.linalg.norm(found.difference[found.valid], axis=1),
         float(found.facts()["stated_sigma_mm"]),
     )

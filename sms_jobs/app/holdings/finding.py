@@ -102,7 +102,7 @@ def in_pages(told: Portion, page: Callable[[Portion], SomePage]) -> Iterator[Som
     while True:
         found = page(replace(told, limit=min(told.limit, _PAGE)))
         yield found
-        told = replace(told, limit=told.limit - len(found.found), after=found.next)
+        told = replace(told, limit=told.limit - len(found.rows), after=found.next)
         if told.limit <= 0 or told.after is None:
             return
 
@@ -123,7 +123,7 @@ def _with_columns(page: Page, columns: Sequence[str]) -> Page:
     """Return a page that tells of each file what was asked for, in that order."""
     found = (
         Found(one.file, {n: OF_FILE[n](one.file) if n in OF_FILE else one.values[n] for n in columns})
-        for one in page.found
+        for one in page.rows
     )
     return Page(tuple(columns), tuple(found), page.next)
 

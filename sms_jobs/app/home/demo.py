@@ -82,7 +82,7 @@ def run(
     measuring = _submit(services, test.name, [Request(PIPELINE)])
     say(f"calibration {number} is in use; measuring with it: {len(measuring)} jobs")
     _succeed(services, measuring, tell)
-    all_jobs = chosen.named([*calibrating, *recording, *measuring])
+    all_jobs = chosen.by_ids([*calibrating, *recording, *measuring])
     known = calibrations.known_calibration(services.catalogue, services.archive, number)
     with services.catalogue.reading() as reading:
         done = Waited(inquiry.counts(reading, all_jobs))
@@ -121,7 +121,7 @@ def _submit(services: Services, campaign: str, requests: list[Request]) -> tuple
 
 def _succeed(services: Services, ids: Sequence[str], tell: Callable[[Waiting], None]) -> None:
     """Wait for jobs; raise `JobFailed` unless all succeed."""
-    waited = wait_for(services, chosen.named(ids), tell=tell)
+    waited = wait_for(services, chosen.by_ids(ids), tell=tell)
     if waited.failures:
         home = services.settings.home
         raise JobFailed(f"{waited.failures} jobs of the demo did not succeed; {waited.failure} --home {home}")

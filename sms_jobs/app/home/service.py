@@ -85,7 +85,7 @@ def status(services: Services) -> Status:
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
             ends_at,
-            tuple(one for one in planned_recordings.shown(session, datetime.now(UTC)) if one.is_next),
+            tuple(one for one in planned_recordings.list_planned(session, datetime.now(UTC)) if one.is_next),
         )
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.app.importing.image_entry import (
+    CameraSettings,
     EnteredImages,
-    GivenCamera,
-    How,
+    EntryOptions,
     arranged,
     inspect_images,
     make_campaign,
@@ -105,12 +105,12 @@ def arrange_boards(services: Services, task: Task) -> Arranged:
 
 
 @use_case(Right.COMPUTE)
-def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) -> Outcome:
+def enter(services: Services, found: Arranged, how: EntryOptions, tell: Tell = nobody) -> Outcome:
     """Read all images, then enter those without fault as poses, and say what became of each.
 
     `tell` counts files that are read, then poses that are entered.
     """
-    task, existing, settings = found.task, found.existing, GivenCamera()
+    task, existing, settings = found.task, found.existing, CameraSettings()
     inspected = inspect_images(found.listing, found.arrangement, settings, tell)
     if existing is not None and existing.session is not None:
         inspected = board_images.of_known_size(inspected, _formats(existing))

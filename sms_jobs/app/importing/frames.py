@@ -30,7 +30,12 @@ from sms_jobs.formats.importers.inspection import (
     source_hash,
 )
 from sms_jobs.formats.importers.layout import FrameLayout, layout_of, load_layout
-from sms_jobs.jobs.archiving.importing import amend_campaign, import_measurement, known_of, with_states
+from sms_jobs.jobs.archiving.importing import (
+    amend_campaign,
+    existing_measurement,
+    import_measurement,
+    with_states,
+)
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds.products import CALIBRATED
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
@@ -55,7 +60,7 @@ class Task:
         Of a campaign that is to be made: by name, or all of it by the file of its test plan.
     layout
         File that says what the files are; None to guess.
-    given
+    layout_values
         What of a layout is known otherwise, by table and name as in "phase.origin"; None where it is not.
     recorded_at
         When; the files' times if it is None.
@@ -72,7 +77,7 @@ class Task:
     specimen: str | None = None
     plan: Path | None = None
     layout: Path | None = None
-    given: Mapping[str, Any] = field(default_factory=dict)
+    layout_values: Mapping[str, Any] = field(default_factory=dict)
     recorded_at: datetime | None = None
     add_states: bool = False
     newer: bool = False
@@ -101,7 +106,7 @@ def guess(services: Services, task: Task) -> Guessed:
     """
     listing = list_folder(task.folder, task.only)
     existing = existing_campaign(services, task.campaign)
-    table = with_options({} if task.layout is None else load_layout(task.layout), dict(task.given))
+    table = with_options({} if task.layout is None else load_layout(task.layout), dict(task.layout_values))
     guessed = guess_layout(listing, table, None if existing is None else existing.sequence)
     return Guessed(task, listing, guessed, existing)
 
@@ -300,7 +305,7 @@ class _Import:
         task, catalogue, archive = self.task, self.services.catalogue, self.services.archive
         subject = Subject(task.campaign, one.found.state, one.found.view)
         digest = source_hash(one, self.layout)
-        known = known_of(catalogue, archive, subject, digest)
+        known = existing_measurement(catalogue, archive, subject, digest)
         if known.status == "there":
             return outcome_of(one, "already there", known.path)
         if dry_run:

@@ -24,7 +24,7 @@ from sms_jobs.formats.importers.image_sets import (
     of_one_size,
 )
 from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, inspect, usual_noise
-from sms_jobs.jobs.archiving.importing import amend_campaign, import_measurement, known_of
+from sms_jobs.jobs.archiving.importing import amend_campaign, existing_measurement, import_measurement
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.subject import Subject
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class GivenCamera:
+class CameraSettings:
     """What is said of the camera."""
 
     raw: RawFormat | None = None
@@ -42,7 +42,7 @@ class GivenCamera:
     gain: float | None = None
     read_noise: float | None = None
 
-    def given(self) -> dict[str, float | None]:
+    def reading_options(self) -> dict[str, float | None]:
         """Return what an image is read with besides its file."""
         return {"full_scale": self.full_scale, "gain": self.gain, "read_noise": self.read_noise}
 
@@ -67,7 +67,7 @@ def arranged(
 
 
 def inspect_images(
-    listing: Listing, arrangement: Arrangement, camera: GivenCamera, tell: Tell
+    listing: Listing, arrangement: Arrangement, camera: CameraSettings, tell: Tell
 ) -> list[Inspected]:
     """Read every file once, before anything is written; `tell` counts files."""
     counted = Counted(tell, "reading", len(arrangement.tuples))
@@ -102,7 +102,7 @@ def make_campaign(services: Services, existing: Campaign | None, definition: Cam
 
 
 @dataclass(frozen=True)
-class How:
+class EntryOptions:
     """How images are entered.
 
     Attributes
@@ -127,8 +127,8 @@ class EnteredImages:
     services: Services
     campaign: str
     listing: Listing
-    settings: GivenCamera
-    how: How
+    settings: CameraSettings
+    options: EntryOptions
     tell: Tell
     noise_counts: bool = True
 
@@ -159,15 +159,15 @@ class EnteredImages:
 
     def _one(self, one: Inspected, camera: ImageCamera) -> TupleOutcome:
         subject = Subject(self.campaign, one.found.state, one.found.view)
-        digest = image_hash(one, self.settings.given())
-        known = known_of(self.services.catalogue, self.services.archive, subject, digest)
+        digest = image_hash(one, self.settings.reading_options())
+        known = existing_measurement(self.services.catalogue, self.services.archive, subject, digest)
         if known.status == "there":
             return outcome_of(one, "already there", known.path)
-        if self.how.dry_run:
-            differs = known.status == "other" and not self.how.newer
+        if self.options.dry_run:
+            differs = known.status == "other" and not self.options.newer
             detail = "it already has another image: set newer to use this one" if differs else ""
             return outcome_of(one, "refused" if differs else "would be imported", detail)
-        at = self.how.recorded_at or one.recorded_at
+        at = self.options.recorded_at or one.recorded_at
         try:
             done = import_measurement(
                 self.services.catalogue,
@@ -177,7 +177,7 @@ class EnteredImages:
                 digest,
                 {
                     "folder": str(self.listing.folder),
-                    "time_from": "given" if self.how.recorded_at else "files",
+                    "time_from": "given" if self.options.recorded_at else "files",
                     "remarks": list(one.remarks),
                     "files": [
                         {"name": name, "sha256": about.sha256, "shows": "image"}
@@ -185,7 +185,7 @@ class EnteredImages:
                     ],
                 },
                 datetime.now(UTC),
-                newer=self.how.newer,
+                newer=self.options.newer,
             )
         except (Conflict, InvalidInput) as error:
             return outcome_of(one, "refused", str(error))

@@ -38,7 +38,7 @@ class Views:
 
 
 @dataclass(frozen=True)
-class Held:
+class UsedCalibration:
     """A calibration that is used, from a time on: its number, and the sizes of sensors, in px, by name."""
 
     number: int
@@ -158,7 +158,7 @@ def of_whole_states(arrangement: Arrangement, lacking: Mapping[str, Sequence[str
     return replace(arrangement, tuples=tuple(map(checked, arrangement.tuples)))
 
 
-def held_at(used: Sequence[Held], at: datetime) -> Held | None:
+def calibration_at(used: Sequence[UsedCalibration], at: datetime) -> UsedCalibration | None:
     """Return the calibration that holds at a time: the last that is valid by then."""
     return next((one for one in reversed(used) if one.valid_from <= at), None)
 
@@ -166,13 +166,13 @@ def held_at(used: Sequence[Held], at: datetime) -> Held | None:
 def of_calibrated_size(
     inspected: Sequence[Inspected],
     campaign: Campaign,
-    used: Sequence[Held],
+    used: Sequence[UsedCalibration],
     recorded_at: datetime | None,
 ) -> list[Inspected]:
     """Add a fault to images, of cameras that measure together, of another size than is calibrated."""
     together, checked = cameras_together(campaign), []
     for one in inspected:
-        held = held_at(used, recorded_at or one.recorded_at)
+        held = calibration_at(used, recorded_at or one.recorded_at)
         size = None if held is None else held.sizes.get(one.found.view)
         about = next(iter(one.facts.values()), None)
         measures = one.found.view in together and not one.found.faults
@@ -212,7 +212,7 @@ def with_their_partners(inspected: Sequence[Inspected], campaign: Campaign) -> l
 def without_calibration(
     inspected: Sequence[Inspected],
     campaign: Campaign,
-    used: Sequence[Held],
+    used: Sequence[UsedCalibration],
     recorded_at: datetime | None,
 ) -> tuple[str, ...]:
     """Say that cameras which measure together have no calibration for when their images were recorded."""
@@ -222,7 +222,7 @@ def without_calibration(
         for one in inspected
         if one.found.view in together and not one.found.faults
     ]
-    held = held_at(used, min(times)) if times else None
+    held = calibration_at(used, min(times)) if times else None
     if held is not None:
         return tuple(_strange(name, campaign, held) for name in together if name not in held.sizes)
     if not times:
@@ -242,7 +242,7 @@ def without_calibration(
     return (words,)
 
 
-def _strange(camera: str, campaign: Campaign, held: Held) -> str:
+def _strange(camera: str, campaign: Campaign, held: UsedCalibration) -> str:
     """Say that a calibration does not have a camera that measures together with others."""
     views = ", ".join(view for view in campaign.shape_views if camera in view_of(view).sensors)
     return (

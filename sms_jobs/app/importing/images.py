@@ -9,15 +9,15 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from sms_jobs.app.importing.image_entry import (
+    CameraSettings,
     EnteredImages,
-    GivenCamera,
-    How,
+    EntryOptions,
     arranged,
     inspect_images,
     make_campaign,
 )
 from sms_jobs.app.importing.image_views import (
-    Held,
+    UsedCalibration,
     Views,
     cameras_together,
     lacking_by_state,
@@ -125,13 +125,13 @@ class Arranged:
 
     campaign: str
     listing: Listing
-    settings: GivenCamera
+    settings: CameraSettings
     pattern: str
     arrangement: Arrangement
     existing: Campaign | None
     definition: Campaign
     remarks: tuple[str, ...]
-    calibrations: tuple[Held, ...]
+    calibrations: tuple[UsedCalibration, ...]
 
 
 @use_case(Right.READ)
@@ -143,7 +143,7 @@ def arrange_images(services: Services, task: Task) -> Arranged:
     listing = list_folder(task.folder, task.only)
     camera, named = task.made_by, named_cameras(task.cameras)
     raw = None if camera.raw is None else RawFormat.parse(camera.raw)
-    settings = GivenCamera(raw, camera.full_scale, camera.gain, camera.read_noise)
+    settings = CameraSettings(raw, camera.full_scale, camera.gain, camera.read_noise)
     text, arrangement = arranged(listing, task.pattern, task.camera, task.reference, named)
     existing = existing_campaign(services, task.campaign)
     with services.catalogue.reading() as session:
@@ -161,7 +161,7 @@ def arrange_images(services: Services, task: Task) -> Arranged:
 
 
 @use_case(Right.COMPUTE)
-def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) -> Outcome:
+def enter(services: Services, found: Arranged, how: EntryOptions, tell: Tell = nobody) -> Outcome:
     """Read all images, then enter those without fault, and say what became of each.
 
     `tell` counts files that are read, then states that are entered.
@@ -178,7 +178,7 @@ def enter(services: Services, found: Arranged, how: How, tell: Tell = nobody) ->
     return replace(outcome, remarks=remarks, left_out=found.arrangement.left_out)
 
 
-def _used(session: Session, existing: Campaign | None, rig: str) -> tuple[Held, ...]:
+def _used(session: Session, existing: Campaign | None, rig: str) -> tuple[UsedCalibration, ...]:
     """Return the calibrations that are used for a campaign: one that is there, or a new one of a rig."""
     found = (
         valid_calibrations.used_for_rig_named(session, rig)
@@ -186,7 +186,9 @@ def _used(session: Session, existing: Campaign | None, rig: str) -> tuple[Held, 
         else valid_calibrations.used_for_campaign(session, campaign_id(session, existing.name))
     )
     return tuple(
-        Held(one.number, one.valid_from, {n: (s["columns"], s["rows"]) for n, s in one.sensors.items()})
+        UsedCalibration(
+            one.number, one.valid_from, {n: (s["columns"], s["rows"]) for n, s in one.sensors.items()}
+        )
         for one in found
     )
 
@@ -202,7 +204,7 @@ def _views(
     task: Task,
     existing: Campaign | None,
     cameras: tuple[str, ...],
-    used: Sequence[Held],
+    used: Sequence[UsedCalibration],
 ) -> Views:
     """Return the views of the campaign; raise `InvalidInput` where it has others than are asked for."""
     if task.alone and task.views is not None:

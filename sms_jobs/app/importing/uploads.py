@@ -57,7 +57,7 @@ class Upload:
     """An upload, and what of it is there."""
 
     id: str
-    begun_at: datetime
+    started_at: datetime
     ends_at: datetime
     size_bytes: int
     files: tuple[UploadedFile, ...]
@@ -85,7 +85,7 @@ class Chunk:
 @dataclass(frozen=True)
 class _About:
     person: str
-    begun_at: datetime
+    started_at: datetime
     size_bytes: int
     files: int
 
@@ -98,7 +98,7 @@ def begin(services: Services) -> Upload:
     now, own = datetime.now(UTC), 0
     for one in _there(folder):
         about = _about(one)
-        if about is None or about.begun_at + KEPT_FOR < now:
+        if about is None or about.started_at + KEPT_FOR < now:
             _forget(one)
         elif about.person == services.actor.name:
             own += 1
@@ -159,7 +159,7 @@ def write(services: Services, upload: str, name: str, chunk: Chunk) -> UploadedF
                 "need; free some"
             )
         grown = _add(file, there or 0, chunk)
-        new = _About(about.person, about.begun_at, about.size_bytes + grown, about.files + (there is None))
+        new = _About(about.person, about.started_at, about.size_bytes + grown, about.files + (there is None))
         _write_about(folder, new)
         return UploadedFile(path, (there or 0) + grown)
 
@@ -176,7 +176,7 @@ def list_uploads(services: Services) -> list[Upload]:
     """Return the uploads of the actor, without their files."""
     found = [(one, _about(one)) for one in _there(services.settings.spool_folder / _FOLDER)]
     return [
-        Upload(one.name, about.begun_at, about.begun_at + KEPT_FOR, about.size_bytes, ())
+        Upload(one.name, about.started_at, about.started_at + KEPT_FOR, about.size_bytes, ())
         for one, about in found
         if about is not None and about.person == services.actor.name
     ]
@@ -232,7 +232,11 @@ def _own(services: Services, upload: str) -> Path:
     """Return the folder of an upload of the actor; raise `NotFound` where there is none."""
     folder = services.settings.spool_folder / _FOLDER / upload
     about = _about(folder) if upload.isascii() and upload.isalnum() else None
-    if about is None or about.person != services.actor.name or about.begun_at + KEPT_FOR < datetime.now(UTC):
+    if (
+        about is None
+        or about.person != services.actor.name
+        or about.started_at + KEPT_FOR < datetime.now(UTC)
+    ):
         raise NotFound(f"{services.actor.name} has no upload '{upload:.80}', or it has ended; begin another")
     return folder
 
@@ -249,14 +253,16 @@ def _about(folder: Path) -> _About | None:
         table = json.loads((folder / _ABOUT).read_text("utf-8"))
     except (OSError, ValueError):
         return None
-    return _About(table["person"], datetime.fromisoformat(table["begun_at"]), table["bytes"], table["files"])
+    return _About(
+        table["person"], datetime.fromisoformat(table["started_at"]), table["bytes"], table["files"]
+    )
 
 
 def _write_about(folder: Path, about: _About) -> None:
     part = folder / f"{_ABOUT}.part"
     table = {
         "person": about.person,
-        "begun_at": about.begun_at.isoformat(),
+        "started_at": about.started_at.isoformat(),
         "bytes": about.size_bytes,
         "files": about.files,
     }
@@ -269,8 +275,8 @@ def _shown(folder: Path, about: _About) -> Upload:
     found = sorted(path for path in files.rglob("*") if path.is_file())
     return Upload(
         folder.name,
-        about.begun_at,
-        about.begun_at + KEPT_FOR,
+        about.started_at,
+        about.started_at + KEPT_FOR,
         about.size_bytes,
         tuple(UploadedFile(path.relative_to(files).as_posix(), path.stat().st_size) for path in found),
     )

@@ -112,14 +112,14 @@ def plan(
     with services.catalogue.reading() as session:
         left = due_recordings.plannable(session, campaign, states)
         defined = definition(campaign_row(session, campaign))
-    if look.wanted:
+    if look.enabled:
         _require_looked_at(defined, look.stop_if)
     wanted = _wanted(services, defined.rig, left, when, named=bool(states))
     with services.catalogue.writing() as session:
         planned_recordings.put(
             session, campaign, wanted, services.actor.name, now, ask=ask, process=process, look=look
         )
-        return planned_recordings.shown(session, now, campaign)
+        return planned_recordings.list_planned(session, now, campaign)
 
 
 def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
@@ -181,7 +181,7 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
 def show(services: Services, campaign: str | None = None) -> list[PlannedRecording]:
     """Return the plan of a campaign, or all with something left; raise `NotFound` where there is none."""
     with services.catalogue.reading() as session:
-        return planned_recordings.shown(session, datetime.now(UTC), campaign)
+        return planned_recordings.list_planned(session, datetime.now(UTC), campaign)
 
 
 @use_case(Right.RECORD)

@@ -15,7 +15,7 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.errors import Conflict
 from sms_jobs.instruments.holding import Hold, HoldDetector
 from sms_jobs.jobs.asking.campaign_progress import progress_of
-from sms_jobs.jobs.planning.chosen import Chosen, named, submitted
+from sms_jobs.jobs.planning.chosen import Chosen, by_ids, submitted
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
 from sms_jobs.jobs.planning.submission import Terms, submit_to
 from sms_jobs.jobs.recording import recordings
@@ -87,7 +87,7 @@ def rehearse(services: Services, plan: Plan) -> DryRun:
 
 
 @dataclass(frozen=True)
-class Begun:
+class Started:
     """Jobs that record, and those that were submitted with them; `recordings` is how many record."""
 
     job_ids: tuple[str, ...]
@@ -98,7 +98,7 @@ class Begun:
 @use_case(Right.RECORD)
 def record(
     services: Services, campaign: str, states: tuple[str, ...], *, ask: bool = False, process: bool = False
-) -> Begun:
+) -> Started:
     """Submit recordings of some states.
 
     Parameters
@@ -111,7 +111,7 @@ def record(
     requests = recordings.requests(states, ask=ask, process=process)
     now, terms = datetime.now(UTC), Terms(by=services.actor.name)
     done = submit_to(services.catalogue, campaign, requests, now, terms)
-    return Begun(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
+    return Started(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
 
 
 @use_case(Right.COMPUTE)
@@ -131,7 +131,7 @@ class Recorded:
 
 @use_case(Right.READ)
 def wait_for_recordings(
-    services: Services, begun: Begun, tell: Callable[[Waiting], None] = lambda waiting: None
+    services: Services, begun: Started, tell: Callable[[Waiting], None] = lambda waiting: None
 ) -> Recorded:
     """Return what became of recordings, once they have ended."""
     waited = wait_for(services, begun.jobs, tell=tell)
@@ -185,7 +185,7 @@ def open_recordings(services: Services) -> list[OpenRecording]:
 
 
 @use_case(Right.RECORD)
-def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
+def resume(services: Services, prefix: str, *, retake: bool = False) -> Started:
     """Go on with a recording that was interrupted: what is there is kept, the rest is recorded.
 
     Parameters
@@ -210,7 +210,7 @@ def resume(services: Services, prefix: str, *, retake: bool = False) -> Begun:
             short = row.id[:SHORT_ID]
             raise Conflict(f"job {short} has no doubtful set to record again; leave out retake")
         orders.retry(session, row.id, datetime.now(UTC), services.actor.name)
-        return Begun((row.id,), 1, named([row.id]))
+        return Started((row.id,), 1, by_ids([row.id]))
 
 
 @use_case(Right.RECORD)

@@ -67,16 +67,16 @@ def file_text(services: Services, rig: str) -> str:
 
 
 @dataclass(frozen=True)
-class Checked:
+class RigReport:
     """What the instruments of a rig say, and the unit of each channel."""
 
     rig: RigFile
-    found: RigCheck
+    check: RigCheck
     units: Mapping[str, str]
 
 
 @use_case(Right.RECORD)
-def check(services: Services, rig: str) -> Checked:
+def check(services: Services, rig: str) -> RigReport:
     """Talk to every instrument of a rig, and light every projector in turn.
 
     Raises
@@ -93,7 +93,7 @@ def check(services: Services, rig: str) -> Checked:
 
     with _held(services, rig, "check") as described, connected(described) as found:
         check = checked(found)
-        return Checked(described, check, {name: channel.unit for name, channel in found.channels.items()})
+        return RigReport(described, check, {name: channel.unit for name, channel in found.channels.items()})
 
 
 @use_case(Right.RECORD)
@@ -134,7 +134,7 @@ def simulation(services: Services, rig: str, folder: Path | None) -> SimulatedPo
 
 
 @dataclass(frozen=True)
-class Lent:
+class LentScanner:
     """A scanner that clients can have, and the file of what they have to know."""
 
     server: ScannerServer
@@ -142,7 +142,7 @@ class Lent:
 
 
 @use_case(Right.RECORD)
-def lend(services: Services, rig: str, listen: str, key_file: Path | None = None) -> Lent:
+def lend(services: Services, rig: str, listen: str, key_file: Path | None = None) -> LentScanner:
     """Lend the cameras and projectors of a scanner to a client at a time, once its server serves.
 
     Parameters
@@ -168,7 +168,7 @@ def lend(services: Services, rig: str, listen: str, key_file: Path | None = None
     stations.rig(rig)
     path = key_file or settings.rig_folder / f"{rig}.key"
     key = made_key(path)
-    return Lent(ScannerServer(lambda: stations.rig(rig), address, key, settings.threads), path)
+    return LentScanner(ScannerServer(lambda: stations.rig(rig), address, key, settings.threads), path)
 
 
 @contextmanager
@@ -189,7 +189,7 @@ def _held(services: Services, rig: str, doing: str) -> Iterator[RigFile]:
 def held_devices(services: Services) -> list[HeldDevice]:
     """Return which devices are held, by whom and since when."""
     with services.catalogue.reading() as session:
-        return locks.held(session, datetime.now(UTC))
+        return locks.held_devices(session, datetime.now(UTC))
 
 
 @use_case(Right.RECORD)

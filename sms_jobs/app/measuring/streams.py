@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from sms_jobs.app.importing.outcomes import existing_campaign
-from sms_jobs.app.measuring.recordings import Begun
+from sms_jobs.app.measuring.recordings import Started
 from sms_jobs.app.rules import use_case
 from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
 from sms_jobs.bootstrap import Services
@@ -76,7 +76,7 @@ def rehearse(services: Services, task: Task) -> StreamRehearsal:
 
 
 @use_case(Right.RECORD)
-def begin(services: Services, task: Task) -> Begun:
+def begin(services: Services, task: Task) -> Started:
     """Submit a stream, and make its campaign where there is none.
 
     Raises as `rehearse` does, and `InvalidInput` for what is missing for it.
@@ -97,7 +97,7 @@ def begin(services: Services, task: Task) -> Begun:
         number = streams.next_number(session, campaign.name)
         request = Request(KIND.name, parameters.model_dump() | {"number": number})
         done = submit(session, campaign.name, [request], now, Terms(by=services.actor.name))
-    return Begun(done.job_ids, 1, submitted(done, KIND.name))
+    return Started(done.job_ids, 1, submitted(done, KIND.name))
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Streamed:
 
 @use_case(Right.READ)
 def wait_for_stream(
-    services: Services, begun: Begun, tell: Callable[[Waiting], None] = lambda waiting: None
+    services: Services, begun: Started, tell: Callable[[Waiting], None] = lambda waiting: None
 ) -> Streamed:
     """Return what became of a stream, once it has ended."""
     from sms_jobs.jobs.recording import recordings, streams

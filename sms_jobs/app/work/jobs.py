@@ -124,7 +124,7 @@ class Submitted:
     refused: tuple[Refusal, ...]
 
     @classmethod
-    def told(
+    def from_server(
         cls,
         job_ids: Sequence[str],
         counted: dict[str, int],
@@ -270,7 +270,7 @@ def choose(services: Services, prefixes: Sequence[str], campaign: str | None) ->
     """Choose the named jobs; if none is named, all active ones, or a campaign's."""
     with services.catalogue.reading() as session:
         if prefixes:
-            return chosen.named(inquiry.find_jobs(session, prefixes))
+            return chosen.by_ids(inquiry.find_jobs(session, prefixes))
         return chosen.active_now(session, campaign)
 
 

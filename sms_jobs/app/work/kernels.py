@@ -53,7 +53,7 @@ def compile_missing() -> Iterator[int]:
 
 
 @use_case(Right.READ)
-def left(services: Services) -> int:
+def kernels_left(services: Services) -> int:
     """Return how many kernels the service of this host is still compiling in advance."""
     try:
         return int(services.settings.kernels_left_file.read_text())

@@ -91,7 +91,7 @@ def set_priority(services: Services, prefixes: Sequence[str], campaign: str | No
 
 
 def _checked(session: Session, names: Sequence[str]) -> list[str]:
-    existing = held.known(session)
+    existing = held.queue_names(session)
     unknown = [name for name in names if name not in existing]
     if unknown:
         raise InvalidInput(f"there is no queue '{unknown[0]}'; choose among {', '.join(existing)}")

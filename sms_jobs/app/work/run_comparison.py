@@ -65,7 +65,7 @@ def compare_runs(services: Services, before: str, after: str, *, tell: Tell = no
 class ComparedPage:
     """What differs between two runs, and a page about it as HTML."""
 
-    found: RunComparison
+    comparison: RunComparison
     html: str
 
 

@@ -23,7 +23,7 @@ from sms_jobs.app.measuring.planned_recordings import AtLoad
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import EventRow, FileRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, Conflict, ServerUnreachable, SmsError
-from sms_jobs.instruments.kept_sets import kept
+from sms_jobs.instruments.kept_sets import finished_sets
 from sms_jobs.instruments.spool import Spooled
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -224,7 +224,7 @@ class KilledPlan:
 
     def _note_broken(self, spool: Path) -> None:
         """Note the sets of a job that broke off: nobody is there who could go on with them."""
-        whole = {one.path.name for one in kept(spool).values()}
+        whole = {one.path.name for one in finished_sets(spool).values()}
         for path in spool.glob(f"{_VIEW}.*"):
             if path.suffix == ".json" or path.name in whole:
                 continue

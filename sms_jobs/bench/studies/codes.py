@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 
 from sms_jobs.bench.study import Outcome, Study, Table, new_figure
-from sms_jobs.kinds.shape.foreign_patterns import told_code
+from sms_jobs.kinds.shape.foreign_patterns import stated_code
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.joint_fit import fit_jointly
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
@@ -28,7 +28,7 @@ _MEAN, _MODULATION, _FULL_SCALE = 1500.0, 1000.0, 4095
 
 def _row(sequence: FringeSequence, noise: float, random: np.random.Generator) -> tuple[float, int, float]:
     """Return the ambiguous part, how many others have a wrong order, and errors over stated deviations."""
-    code = told_code(sequence)
+    code = stated_code(sequence)
     omega = random.uniform(-pi, pi, (_ROWS, _COLUMNS))
     wave = np.cos(np.multiply.outer(code.densities, omega) + code.turns[:, None, None])
     # Half of the variance at the mean level is shot noise.

@@ -34,7 +34,7 @@ SEEN = aliased(FileRow, name="seen")
 
 
 @dataclass(frozen=True)
-class Told:
+class ResultStatistic:
     """A statistic of the results of a kind; `by_view` unless they are of states as a whole."""
 
     kind: str
@@ -48,7 +48,7 @@ class StateField:
 
     field: Field
     by_view: bool = False
-    told: Told | None = None
+    statistic: ResultStatistic | None = None
 
 
 def _recordings() -> Select[int]:
@@ -99,7 +99,7 @@ def _built_in() -> dict[str, StateField]:
     }
 
 
-def newest_results(told: Told, dataset_type: str) -> Select[int]:
+def newest_results(told: ResultStatistic, dataset_type: str) -> Select[int]:
     """Select the newest result of a kind at a state, by that of `SEEN` where it is of views."""
     file = aliased(FileRow)
     found = select(func.max(file.id)).where(
@@ -128,7 +128,7 @@ class StateFields:
         self._query = query
         self._dataset_type = dataset_type
         self._found: dict[str, StateField] = {}
-        self._told: dict[str, list[Told]] = {}
+        self._told: dict[str, list[ResultStatistic]] = {}
         self._names: dict[str, tuple[str, ...]] = {}
         self._resolver = Resolver(self._look, self.names)
 
@@ -223,7 +223,7 @@ class StateFields:
         self._found[field.stored] = StateField(field, only.by_view, only)
         return field
 
-    def _told_by(self, name: str) -> list[Told]:
+    def _told_by(self, name: str) -> list[ResultStatistic]:
         """Return the kinds whose results about states tell a statistic."""
         if name not in self._told:
             rows = self._session.execute(
@@ -232,7 +232,9 @@ class StateFields:
                 .where(StatisticRow.name == name, FileRow.state_id.is_not(None))
                 .distinct()
             )
-            self._told[name] = sorted((Told(kind, name, bool(by)) for kind, by in rows), key=lambda t: t.kind)
+            self._told[name] = sorted(
+                (ResultStatistic(kind, name, bool(by)) for kind, by in rows), key=lambda t: t.kind
+            )
         return self._told[name]
 
     def _channels(self) -> Sequence[str]:

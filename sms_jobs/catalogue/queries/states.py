@@ -29,7 +29,7 @@ from sms_jobs.catalogue.queries.language import (
     values_of,
 )
 from sms_jobs.catalogue.queries.names import Field
-from sms_jobs.catalogue.queries.state_fields import SEEN, StateField, StateFields, Told
+from sms_jobs.catalogue.queries.state_fields import SEEN, ResultStatistic, StateField, StateFields
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.portion import FIRST, Portion
 from sms_jobs.records.shown.states import FoundState, StatePage, Value
@@ -90,8 +90,8 @@ class _Conditions:
         self._kind_by_view = self._kind is not None and fields.is_by_view(self._kind)
         self.about_views = bool(by_view) or self._kind_by_view
         # Where nothing but statistics is asked of views, those without any are as if they were not there.
-        told = {one.told.kind for one in by_view if one.told is not None}
-        self._sources = told if all(one.told is not None for one in by_view) else set()
+        told = {one.statistic.kind for one in by_view if one.statistic is not None}
+        self._sources = told if all(one.statistic is not None for one in by_view) else set()
 
     def of_states(self) -> ColumnElement[bool]:
         """Return whether a state meets the query."""
@@ -148,13 +148,13 @@ def _asked(fields: StateFields, query: Query, columns: Sequence[str] | None) -> 
     if columns is not None:
         asked = {name: fields.column(name) for name in columns}
         for name, one in asked.items():
-            if one.by_view and one.told is None:
+            if one.by_view and one.statistic is None:
                 raise InvalidInput(
                     f"views are listed for every state anyway; leave '{name}' out of the columns"
                 )
         return asked
     tests = [test for test in comparisons(query.condition) if test.name.at != UNWRITTEN]
-    compared = [one for one in map(fields.tested, tests) if not one.by_view or one.told is not None]
+    compared = [one for one in map(fields.tested, tests) if not one.by_view or one.statistic is not None]
     loads = [one for one in compared if one.field.stored == "load_n"] or [fields.column("load_n")]
     first = [fields.column("campaign"), fields.column("state"), *loads, fields.column("time")]
     return {one.field.name: one for one in [*first, *compared]}
@@ -182,7 +182,11 @@ def _states(
 ) -> Iterator[FoundState]:
     whole = {name: one.field for name, one in asked.items() if not one.by_view}
     extra = [field.column.label(f"value_{place}") for place, field in enumerate(whole.values())]
-    by_view = {name: (one.told, one.field.factor) for name, one in asked.items() if one.told and one.by_view}
+    by_view = {
+        name: (one.statistic, one.field.factor)
+        for name, one in asked.items()
+        if one.statistic and one.by_view
+    }
     for some in parts(ids):
         views: dict[int, dict[str, dict[str, float]]] = {}
         for name, (told, factor) in by_view.items():
@@ -203,7 +207,7 @@ def _states(
             yield FoundState(key, told_of, dict(sorted(views.get(key, {}).items())), by)
 
 
-def _told(told: Told, states: Sequence[int], dataset_type: str) -> Select[Any, Any, float]:
+def _told(told: ResultStatistic, states: Sequence[int], dataset_type: str) -> Select[Any, Any, float]:
     """Select a statistic of the newest results of a kind, by state and view."""
     newest = (
         select(func.max(FileRow.id))

@@ -10,7 +10,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.calibrating import calibrations
-from sms_jobs.app.calibrating.calibrations import Worth
+from sms_jobs.app.calibrating.calibrations import QualitySummary
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.asking import PasswordStdin, Reason, because, confirming
 from sms_jobs.cli.calibration import acceptance, files, system_test
@@ -62,11 +62,11 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
 
     Example: sms calibration show 1
     """
-    from sms_jobs.app.calibrating import calibration_worth
+    from sms_jobs.app.calibrating import calibration_overview
 
     with bootstrap.services(home) as services:
-        known = calibration_worth.overview(services, number)
-    worth = {} if known.worth is None else _worth(known.volume, known.worth)
+        known = calibration_overview.overview(services, number)
+    worth = {} if known.quality is None else _worth(known.volume, known.quality)
     if as_json:
         output.print_json(
             {
@@ -112,14 +112,14 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
     )
 
 
-def _worth(volume: Box, worth: Worth) -> dict[str, str | float | int]:
+def _worth(volume: Box, worth: QualitySummary) -> dict[str, str | float | int]:
     """Return the few numbers by which a calibration is judged."""
     told: dict[str, str | float | int] = {"world": worth.gauge, "warnings": len(worth.warnings)}
     if worth.scale:
         told["scale"] = worth.scale
     if worth.shape_sigma_mm:
         told["shape, scale apart, of the diagonal"] = f"1/{volume.diagonal_mm / worth.shape_sigma_mm:,.0f}"
-    told |= {name: float(f"{value:.4g}") for name, value in worth.found.items()}
+    told |= {name: float(f"{value:.4g}") for name, value in worth.estimates.items()}
     if (held_out := worth.held_out_bar_rms_mm) is not None:
         told["held-out bar lengths, rms [um]"] = round(1e3 * held_out, 3)
         told["of the volume's diagonal"] = f"1/{volume.diagonal_mm / held_out:,.0f}"

@@ -9,7 +9,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.importing.boards import Arranged, Task, arrange_boards, enter
-from sms_jobs.app.importing.image_entry import How
+from sms_jobs.app.importing.image_entry import EntryOptions
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
     AddStates,
@@ -86,7 +86,7 @@ def boards(
     Example: sms import boards dots -c stereo-june --rig stereo --board board.toml --pattern
     'dot_{state}_{camera}.jpeg' --cameras '0=C1 1=C2'
     """
-    how = How(time_given(recorded_at), newer, dry_run)
+    how = EntryOptions(time_given(recorded_at), newer, dry_run)
     task = Task(
         folder,
         campaign,

@@ -146,7 +146,7 @@ def frames(
         specimen=specimen,
         plan=plan,
         layout=layout,
-        given=given,
+        layout_values=given,
         recorded_at=time_given(recorded_at),
         add_states=add_states,
         newer=newer,

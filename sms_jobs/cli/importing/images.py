@@ -8,7 +8,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.importing.image_entry import How
+from sms_jobs.app.importing.image_entry import EntryOptions
 from sms_jobs.app.importing.images import Arranged, Camera, Task, arrange_images, enter
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
@@ -80,7 +80,7 @@ def images(
 
     Example: sms import images panel -c panel --cameras 'left=C1 right=C2' --rig stereo
     """
-    how = How(time_given(recorded_at), newer, dry_run)
+    how = EntryOptions(time_given(recorded_at), newer, dry_run)
     task = Task(
         folder,
         campaign,

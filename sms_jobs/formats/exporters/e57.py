@@ -144,7 +144,7 @@ def write(grid: PointGrid, path: Path) -> None:
             f"positions are in {grid.unit} and E57 holds metres: give the size of a pixel, "
             "for example plane.mm_per_px=0.05, or choose another format"
         )
-    known = grid.known()
+    known = grid.valid()
     if max(known.shape) > _LARGEST_INDEX + 1:
         raise InvalidInput(f"an image of {known.shape[1]} x {known.shape[0]} px is more than 65,536 px wide")
     texture = np.full(known.shape, _NO_TEXTURE) if grid.texture is None else grey(grid.texture)

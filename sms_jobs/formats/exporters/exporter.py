@@ -50,7 +50,7 @@ class PointGrid:
     unit: LengthUnit = "mm"
     axes: Axes = "XYZ"
 
-    def known(self) -> NDArray[np.bool_]:
+    def valid(self) -> NDArray[np.bool_]:
         """Return where there is a point, (rows, columns); raise `MeasurementFailed` where there is none."""
         known: NDArray[np.bool_] = np.asarray(np.isfinite(self.xyz).all(axis=0))
         if not known.any():

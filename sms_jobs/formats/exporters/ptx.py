@@ -26,7 +26,7 @@ _HEADER = """0 0 0
 
 def write(grid: PointGrid, path: Path) -> None:
     """Write columns from the left, each from its lowest row upwards; a missing point is 0 0 0 0."""
-    known = grid.known()
+    known = grid.valid()
     texture = np.full(known.shape, _NO_TEXTURE) if grid.texture is None else grey(grid.texture)
     rows, columns = known.shape
     with path.open("w", encoding="ascii") as file:

@@ -20,7 +20,7 @@ def write(points: Mesh | PointGrid, path: Path) -> None:
     """Write points that have a position, and behind it their values; what is missing is nan."""
     places, unit = None, points.unit
     if isinstance(points, PointGrid):
-        places = np.flatnonzero(points.known())
+        places = np.flatnonzero(points.valid())
         columns = [*points.xyz.reshape(3, -1), *points.values.reshape(len(points.values), -1)]
     else:
         points = placed(points)

@@ -207,9 +207,7 @@ def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[
 def _names(found: FoundCalibration, given: Supplement, sources: str) -> list[str]:
     own = [s.name for s in found.sensors if s.name is not None]
     if own and given.names:
-        raise InvalidInput(
-            f"{sources} names its sensors itself: {', '.join(own)}; leave out their names"
-        )
+        raise InvalidInput(f"{sources} names its sensors itself: {', '.join(own)}; leave out their names")
     if given.names and len(given.names) != len(found.sensors):
         raise InvalidInput(
             f"{sources} has {len(found.sensors)} sensors, but {len(given.names)} are named: "

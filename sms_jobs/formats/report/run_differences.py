@@ -46,7 +46,7 @@ def runs_page(found: RunComparison, states: Sequence[StateMaps]) -> str:
     return page(f"Run {found.after} against {found.before}", [paragraph(_ABOUT, faint=True)], sections)
 
 
-def told(change: RunChange) -> str:
+def description(change: RunChange) -> str:
     """Say what was not the same, in a few words."""
     return " ".join(word for word in (change.what, f"{change.kind}.{change.name}".strip(".")) if word)
 
@@ -56,7 +56,13 @@ def _changes(found: RunComparison) -> Iterator[Markup]:
         yield paragraph("Parameters, inputs, calibrations and versions were the same.")
     else:
         rows: list[list[Cell]] = [
-            [told(one), _value(one.before), _value(one.after), one.results, "yes" if one.asked else "no"]
+            [
+                description(one),
+                _value(one.before),
+                _value(one.after),
+                one.results,
+                "yes" if one.intended else "no",
+            ]
             for one in found.changes
         ]
         yield table(["what", f"in {found.before}", f"in {found.after}", "results", "asked for"], rows)

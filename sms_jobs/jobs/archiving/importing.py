@@ -45,7 +45,7 @@ Status: TypeAlias = Literal["new", "there", "other"]
 
 
 @dataclass(frozen=True)
-class Known:
+class ExistingMeasurement:
     """What the archive has of a tuple that is to be imported.
 
     Attributes
@@ -60,15 +60,17 @@ class Known:
     path: str = ""
 
 
-def known_of(catalogue: Catalogue, archive: Archive, subject: Subject, source_sha256: str) -> Known:
+def existing_measurement(
+    catalogue: Catalogue, archive: Archive, subject: Subject, source_sha256: str
+) -> ExistingMeasurement:
     """Say whether a tuple has a measurement already, and whether it is of the same sources."""
     with catalogue.reading() as session:
         paths = _measurements(session, subject)
     for path in paths:
         provenance = archive.provenance(path)
         if provenance is not None and provenance.parameters.get(SOURCE_HASH) == source_sha256:
-            return Known("there", path)
-    return Known("other", paths[0]) if paths else Known("new")
+            return ExistingMeasurement("there", path)
+    return ExistingMeasurement("other", paths[0]) if paths else ExistingMeasurement("new")
 
 
 def _measurements(session: Session, subject: Subject) -> list[str]:
@@ -109,7 +111,7 @@ def import_measurement(
     now: datetime,
     *,
     newer: bool = False,
-) -> Known:
+) -> ExistingMeasurement:
     """Seal and index the measurement of a tuple, unless it is there.
 
     Parameters
@@ -130,7 +132,7 @@ def import_measurement(
     Conflict
         The tuple has another measurement; nothing is changed.
     """
-    known = known_of(catalogue, archive, subject, source_sha256)
+    known = existing_measurement(catalogue, archive, subject, source_sha256)
     if known.status == "there":
         return known
     if known.status == "other" and not newer:
@@ -145,7 +147,7 @@ def import_measurement(
         brought_in(MEASUREMENT, subject, now, parameters={SOURCE_HASH: source_sha256, **parameters}),
         lambda session: _require_same(_measurements(session, subject), before, str(subject)),
     )
-    return Known(known.status, kept.path)
+    return ExistingMeasurement(known.status, kept.path)
 
 
 def _require_same(now: object, before: object, what: str) -> None:

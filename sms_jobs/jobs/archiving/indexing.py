@@ -205,7 +205,7 @@ def index(session: Session, entry: Entry, at: datetime) -> int:
     return file.id
 
 
-def known(session: Session, entry: Entry) -> int | None:
+def existing_file(session: Session, entry: Entry) -> int | None:
     """Return the file from which the catalogue has the same already; None where it does not.
 
     The same are calibrations of equal contents, a decision that is made, and the surface that the campaign

@@ -197,7 +197,7 @@ class Batch:
         with self.repository.catalogue.writing() as session:
             check(session)
             for entry in self.entries:
-                same = indexing.known(session, entry)
+                same = indexing.existing_file(session, entry)
                 entered_at = at or entry.provenance.created_at
                 number = indexing.index(session, entry, entered_at) if same is None else same
                 kept.append(Kept(number, entry.sealed.path, same is None))

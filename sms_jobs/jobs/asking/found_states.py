@@ -57,7 +57,7 @@ def states_to_submit(session: Session, where: str) -> dict[str, tuple[str, ...]]
     portion = Portion(("campaign", "state"), limit=_PAGE)
     while True:
         page = find_page(session, query, words, DATASET_MEDIA_TYPE, portion)
-        for one in page.found:
+        for one in page.rows:
             labels.setdefault(str(one.values["campaign"]), []).append(str(one.values["state"]))
         if page.next is None:
             break

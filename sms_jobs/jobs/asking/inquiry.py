@@ -177,7 +177,7 @@ def explain(session: Session, job: JobRow, now: datetime) -> list[str]:
     elif job.state is JobState.RUNNING:
         say.append(f"it runs in process {job.pid} under worker {job.worker_id}, attempt {job.attempts}")
     elif job.state is JobState.SUCCEEDED:
-        say += empty_results.said_of(session, job)
+        say += empty_results.explanations(session, job)
         say += _why_computed(session, job)
         say += _staleness(session, job, now)
     return say

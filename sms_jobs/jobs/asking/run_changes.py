@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from sms_jobs.jobs.asking.runs import Given, Member, Members
+from sms_jobs.jobs.asking.runs import Member, Members, ResultInput
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.shown.runs import RunChange, What
 
@@ -43,7 +43,7 @@ def changes(before: Members, after: Members) -> tuple[RunChange, ...]:
     What follows from another change, such as an input that the run itself has computed otherwise, is not
     told again. Of the campaign's definition it is told only where nothing else can have changed a result.
     """
-    asked = _Asked(before.asked, after.asked)
+    asked = _Asked(before.parameters, after.parameters)
     ours, theirs = _made_by(before), _made_by(after)
     found: dict[tuple[_Key, str], list[_Found]] = {}
     for mine, other in pairs(before, after):
@@ -55,7 +55,7 @@ def changes(before: Members, after: Members) -> tuple[RunChange, ...]:
         RunChange(*key, some[0].before, some[0].after, len(some), some[0].asked)
         for (key, _), some in found.items()
     ]
-    return tuple(sorted(told, key=lambda change: not change.asked))
+    return tuple(sorted(told, key=lambda change: not change.intended))
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _other_inputs(mine: Member, other: Member) -> Iterator[str]:
             yield role
 
 
-def _follows(given: Given | None, own: frozenset[str]) -> bool:
+def _follows(given: ResultInput | None, own: frozenset[str]) -> bool:
     """Return whether the run has made an input itself, or it is a calibration, told by its number."""
     return given is None or given.job_id in own or given.source == CALIBRATION
 

@@ -30,7 +30,7 @@ _MOST_NAMED = 20
 
 
 @dataclass(frozen=True)
-class Given:
+class ResultInput:
     """An input of a result: its file, what that holds, and the job that made it."""
 
     file_id: int
@@ -61,7 +61,7 @@ class Member:
     reuse_key: str | None
     contents: tuple[str, ...]
     media_types: tuple[str, ...]
-    inputs: Mapping[str, Given]
+    inputs: Mapping[str, ResultInput]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Members:
 
     Attributes
     ----------
-    asked
+    parameters
         Values of parameters that were given, by `kind.name`.
     by_subject
         By kind and subject.
@@ -78,7 +78,7 @@ class Members:
         Kinds and subjects of which no job has succeeded, with the state of the newest.
     """
 
-    asked: Mapping[str, Any]
+    parameters: Mapping[str, Any]
     by_subject: Mapping[tuple[str, str], Member]
     missing: Mapping[tuple[str, str], JobState]
 
@@ -172,7 +172,7 @@ def story(session: Session, name: str) -> RunStory:
     shown, found = view(session, name), members(session, name)
     return RunStory(
         shown,
-        found.asked,
+        found.parameters,
         tuple(member.result for _, member in sorted(found.by_subject.items())),
         {f"{kind} {subject}": state.value for (kind, subject), state in sorted(found.missing.items())},
     )
@@ -281,7 +281,7 @@ class _Made:
 
     def __init__(self, session: Session, job_ids: Sequence[str]) -> None:
         self.files: dict[str, list[Any]] = {}
-        self.inputs: dict[int, dict[str, Given]] = {}
+        self.inputs: dict[int, dict[str, ResultInput]] = {}
         self.calibrations: dict[int, list[int]] = {}
         columns = (FileRow.job_id, FileRow.id, FileRow.content_hash, FileRow.media_type)
         for some in parts(sorted(set(job_ids))):
@@ -310,7 +310,7 @@ class _Made:
             .where(ProvenanceRow.output_id.in_(files))
         )
         for output, role, number, source, content, job_id in session.execute(query):
-            self.inputs.setdefault(output, {})[role] = Given(number, source, content, job_id)
+            self.inputs.setdefault(output, {})[role] = ResultInput(number, source, content, job_id)
 
 
 def _row(session: Session, name: str) -> RunRow | None:

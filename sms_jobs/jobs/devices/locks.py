@@ -116,7 +116,7 @@ def release_device(session: Session, device: str, now: datetime) -> HeldDevice:
     Conflict
         Its holder is alive.
     """
-    found = [lock for lock in held(session, now) if lock.device == device]
+    found = [lock for lock in held_devices(session, now) if lock.device == device]
     if not found:
         raise NotFound(f"there is no lock of '{device}'; 'sms lock list' shows them")
     if found[0].alive:
@@ -125,7 +125,7 @@ def release_device(session: Session, device: str, now: datetime) -> HeldDevice:
     return found[0]
 
 
-def held(session: Session, now: datetime, names: Collection[str] | None = None) -> list[HeldDevice]:
+def held_devices(session: Session, now: datetime, names: Collection[str] | None = None) -> list[HeldDevice]:
     """Return who holds what, in the order of the devices; locks whose holders are gone are not alive."""
     query = (
         select(LockRow, JobRow.kind, JobRow.subject, _alive(now))
@@ -168,7 +168,7 @@ def devices_of(session: Session, job_id: str) -> Sequence[str]:
 
 def waited_for(session: Session, job_id: str, now: datetime) -> list[HeldDevice]:
     """Return the devices that a job needs and that somebody else holds."""
-    return [lock for lock in held(session, now, devices_of(session, job_id)) if lock.alive]
+    return [lock for lock in held_devices(session, now, devices_of(session, job_id)) if lock.alive]
 
 
 def _take(session: Session, names: Collection[str], now: datetime, **owner: Any) -> None:
@@ -182,7 +182,7 @@ def _take(session: Session, names: Collection[str], now: datetime, **owner: Any)
         rows.on_conflict_do_update(index_elements=["device"], set_={"device": rows.excluded.device})
     )
     kept = []
-    for lock in held(session, now, requested):
+    for lock in held_devices(session, now, requested):
         if lock.alive and (lock.job_id, lock.holder) != (owner["job_id"], owner["holder"]):
             raise DevicesBusy(f"a device is in use: {lock}; {_way_out(lock)}")
         if lock.alive:

@@ -65,7 +65,7 @@ def _tell_gathered(session: Session, topic: Topic, campaign: str, now: datetime)
     )
     count = cast(CursorResult[Any], taken).rowcount
     told = TOPICS[topic]
-    subject = (told.one if count == 1 else told.many).format(campaign=campaign, count=f"{count:,}")
+    subject = (told.singular if count == 1 else told.plural).format(campaign=campaign, count=f"{count:,}")
     if count > len(lines):
         lines.append(f"- and {count - len(lines):,} more")
     text = "\n".join([*lines, "", told.advice.format(campaign=campaign)])
@@ -101,7 +101,7 @@ def tell_queue_done(catalogue: Catalogue, now: datetime) -> None:
     told = TOPICS[Topic.QUEUE_DONE]
     text = "\n".join([f"Jobs that have ended: {', '.join(ended)}.", "", told.advice])
     with catalogue.writing() as session:
-        _tell(session, Topic.QUEUE_DONE, f"queue-done/{last.id}", told.one, text, now, since=last.at)
+        _tell(session, Topic.QUEUE_DONE, f"queue-done/{last.id}", told.singular, text, now, since=last.at)
 
 
 def tell_disk_low(catalogue: Catalogue, free_mb: float, now: datetime) -> None:
@@ -114,7 +114,7 @@ def tell_disk_low(catalogue: Catalogue, free_mb: float, now: datetime) -> None:
     told = TOPICS[Topic.DISK_LOW]
     text = "\n".join([f"There are {free_mb:,.0f} MB left.", "", told.advice])
     with catalogue.writing() as session:
-        _tell(session, Topic.DISK_LOW, key, told.one, text, now)
+        _tell(session, Topic.DISK_LOW, key, told.singular, text, now)
 
 
 def _tell(

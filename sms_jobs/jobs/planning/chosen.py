@@ -65,7 +65,7 @@ class Chosen:
         return tuple(condition for condition in conditions if condition is not None)
 
 
-def named(ids: Sequence[str]) -> Chosen:
+def by_ids(ids: Sequence[str]) -> Chosen:
     """Choose jobs one by one; raise `InvalidInput` where they are too many for that."""
     if len(ids) > MOST_NAMED:
         raise InvalidInput(

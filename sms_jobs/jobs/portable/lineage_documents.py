@@ -118,7 +118,7 @@ def _activities(catalogue: Catalogue, gathered: _Gathered) -> list[DocumentedAct
         made.append(
             DocumentedActivity(
                 name=name,
-                begun=begun,
+                started=begun,
                 ended=ended,
                 program_version=latest.program_version,
                 host=latest.host,
@@ -130,7 +130,9 @@ def _activities(catalogue: Catalogue, gathered: _Gathered) -> list[DocumentedAct
                     "parameters": json.dumps(dict(latest.parameters), sort_keys=True, ensure_ascii=False),
                 },
                 used=tuple(DocumentedInput(role, path) for role, path in sorted(used.items())),
-                made=tuple((path, gathered.provenances[path].created_at.astimezone(UTC)) for path in paths),
+                outputs=tuple(
+                    (path, gathered.provenances[path].created_at.astimezone(UTC)) for path in paths
+                ),
             )
         )
     return made

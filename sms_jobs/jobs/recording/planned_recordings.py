@@ -164,7 +164,7 @@ def put(
 def _looked_at(look: Look) -> dict[str, object]:
     """Return what a row keeps of the look that is wanted."""
     limits = [limit.as_json() for limit in look.stop_if]
-    return {"look": look.wanted, "stop_if": limits, "awaited": bool(limits), "stopped_by": None}
+    return {"look": look.enabled, "stop_if": limits, "awaited": bool(limits), "stopped_by": None}
 
 
 def set_held(session: Session, campaign: str, labels: Collection[str], held: bool) -> list[str]:
@@ -263,7 +263,7 @@ def move(session: Session, campaign: str, label: str, before: str | None) -> Non
             _change(one.row, position=position, revision=one.row.revision + 1)
 
 
-def shown(session: Session, now: datetime, campaign: str | None = None) -> list[PlannedRecording]:
+def list_planned(session: Session, now: datetime, campaign: str | None = None) -> list[PlannedRecording]:
     """Return the plan of a campaign, or every plan with something left to record.
 
     Parameters

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow, WorkerRow
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.instruments.kept_sets import forget, kept
+from sms_jobs.instruments.kept_sets import finished_sets, forget
 from sms_jobs.jobs.asking.inquiry import find_job
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
@@ -118,7 +118,7 @@ def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
     found = []
     for row, host in rows:
         frames = spool / row.id
-        finished = kept(frames)
+        finished = finished_sets(frames)
         doubts = tuple(words for one in finished.values() for words in one.verdict.doubts)
         found.append(
             OpenRecording(
@@ -270,7 +270,7 @@ def state_value(state: LoadState, channel: str) -> float:
 
 def forget_doubtful(spool: Path) -> list[str]:
     """Have the doubtful sets of a job recorded again; their frames stay. Return their views."""
-    doubtful = [view for view, one in kept(spool).items() if one.verdict.doubts]
+    doubtful = [view for view, one in finished_sets(spool).items() if one.verdict.doubts]
     for view in doubtful:
         forget(spool, view)
     return doubtful

@@ -18,7 +18,7 @@ from sms_jobs.records.shown.planned_recordings import Status
 def comes_first(session: Session, rig: str, now: datetime, holder: str) -> str | None:
     """Say for whom a watcher has to wait, or to let go of a rig; None where it may watch."""
     device = rig_queue(rig)
-    for lock in locks.held(session, now, [device]):
+    for lock in locks.held_devices(session, now, [device]):
         if lock.alive and lock.holder != holder:
             return f"waits for {lock}"
     if session.scalar(select(QueueRow.paused_at).where(QueueRow.name == device)) is not None:

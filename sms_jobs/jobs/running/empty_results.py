@@ -38,16 +38,16 @@ def empty_results(session: Session, some: Chosen, began: datetime) -> EmptyResul
     if not count:
         return EmptyResults()
     latest = session.execute(found.order_by(FileRow.id.desc()).limit(1)).one()
-    return EmptyResults(count, f"{latest.kind} {latest.subject}: {why_nothing(session, latest.file_id)}")
+    return EmptyResults(count, f"{latest.kind} {latest.subject}: {explanation(session, latest.file_id)}")
 
 
-def said_of(session: Session, job: JobRow) -> list[str]:
+def explanations(session: Session, job: JobRow) -> list[str]:
     """Return what is to be said of a job whose result has no valid value; nothing of any other."""
     found = session.execute(_empty().where(JobRow.id == job.id)).all()
-    return [why_nothing(session, one.file_id) for one in found]
+    return [explanation(session, one.file_id) for one in found]
 
 
-def why_nothing(session: Session, file_id: int) -> str:
+def explanation(session: Session, file_id: int) -> str:
     """Say by which reasons a file has no valid value."""
     lost = losses(search.statistics(session, file_id))
     worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]

@@ -85,11 +85,11 @@ def queues(session: Session) -> list[QueueView]:
             paused[name].reason if name in paused else "",
             name in paused and paused[name].for_room,
         )
-        for name in known(session)
+        for name in queue_names(session)
     ]
 
 
-def known(session: Session) -> list[str]:
+def queue_names(session: Session) -> list[str]:
     """Return the names of all queues: of every service, and of rigs that have jobs or workers."""
     with_jobs = job_counts.counted(session, JobCountRow.queue, states=(*_PENDING, JobState.RUNNING))
     served = session.scalars(select(WorkerRow.queues))

@@ -376,7 +376,7 @@ class Runner:
         A full disk is full for everybody. What else is wrong may be wrong with this host alone: others go on.
         """
         if isinstance(fault, StorageFull):
-            for name in queues.known(session):
+            for name in queues.queue_names(session):
                 queues.pause(session, name, str(fault), self.now(), for_room=True)
         else:
             recovery.hold(session, self.worker_id, str(fault), at)

@@ -24,10 +24,10 @@ from sms_jobs.kinds.calibration.held_parameters import (
     at_values,
     checked,
     checked_lenses,
+    held_values,
     lenses_of,
     names_of,
     parted,
-    told,
     values_of,
 )
 from sms_jobs.kinds.calibration.session_adjustment import (
@@ -212,7 +212,9 @@ def adjusted(
     uncertainty = uncertainty_of(found)
     doubts = (*doubts, *board_doubts(problem, found), *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
-    quality = replace(quality, found={**quality.found, **told(calibration.rig, parameters.fixed, models)})
+    quality = replace(
+        quality, found={**quality.found, **held_values(calibration.rig, parameters.fixed, models)}
+    )
     progress(0.9, "writing the page")
     products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
     yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality, found))

@@ -9,7 +9,7 @@ from typing import Any
 
 from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.kinds.calibration.session_adjustment import Start
-from sms_jobs.metrology.geometry.lens import HELD, LENS, MODELS, Model, foreign, kept
+from sms_jobs.metrology.geometry.lens import HELD, LENS, MODELS, Model, fixed_by_default, foreign
 from sms_jobs.records.sensors import Rig
 
 NONE = "none"
@@ -62,7 +62,7 @@ def values_of(entries: Sequence[str] | None) -> dict[str, float]:
 
 def names_of(entries: Sequence[str] | None, model: Model) -> tuple[str, ...]:
     """Return what is held of a lens: what is said, else the model's own, and what no session finds of it."""
-    said = kept(model) if entries is None else (entry.partition("=")[0] for entry in entries)
+    said = fixed_by_default(model) if entries is None else (entry.partition("=")[0] for entry in entries)
     return tuple(dict.fromkeys([*said, *HELD, *foreign(model)]))
 
 
@@ -74,14 +74,14 @@ def at_values(start: Start, values: Mapping[str, float]) -> Start:
     return replace(start, rig=Rig(start.rig.name, sensors))
 
 
-def told(rig: Rig, entries: Sequence[str] | None, models: Mapping[str, Model]) -> dict[str, float]:
+def held_values(rig: Rig, entries: Sequence[str] | None, models: Mapping[str, Model]) -> dict[str, float]:
     """Return what the lenses of a rig were held at by name, but for what is at its usual 0."""
     found = {}
     for sensor in rig.sensors:
         model = models[sensor.name]
         for name in names_of(entries, model):
             value = getattr(sensor.intrinsics, name)
-            if not (name in kept(model) and value == 0.0):
+            if not (name in fixed_by_default(model) and value == 0.0):
                 found[f"{name} of {sensor.name}, held [{LENS[name].unit}]"] = float(value)
     return found
 

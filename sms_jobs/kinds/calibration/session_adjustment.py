@@ -386,7 +386,7 @@ def quality_of(
         warnings=(*found.warnings, *held_out.failed, *doubts),
         bar_length_error_mm={b.pose: b.error_mm for b in held_out.bars},
         board_rms_px={b.pose: _both(b.camera_rms_px, b.projector_rms_px) for b in held_out.boards},
-        found={name: value for one in estimates for name, value in one.told().items()},
+        found={name: value for one in estimates for name, value in one.labelled().items()},
         views=tuple("".join(pair) for pair in pairs),
         place=place,
         expected_sigma=np.stack(sigma) if sigma else np.empty((0, len(place))),

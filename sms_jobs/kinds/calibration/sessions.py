@@ -102,7 +102,7 @@ def angles(state: LoadState) -> tuple[float, float] | None:
     return None
 
 
-def shown(campaign: Campaign, state: LoadState) -> Artefact | None:
+def artefact_of(campaign: Campaign, state: LoadState) -> Artefact | None:
     """Return the artefact that a state shows."""
     if campaign.session is None or state.artefact is None:
         return None
@@ -112,13 +112,15 @@ def shown(campaign: Campaign, state: LoadState) -> Artefact | None:
 def board_states(campaign: Campaign) -> tuple[LoadState, ...]:
     """Return the states that show a board."""
     return tuple(
-        s for s in campaign.states if s.artefact is not None and not isinstance(shown(campaign, s), BallBar)
+        s
+        for s in campaign.states
+        if s.artefact is not None and not isinstance(artefact_of(campaign, s), BallBar)
     )
 
 
 def bar_states(campaign: Campaign) -> tuple[LoadState, ...]:
     """Return the states that show a ball bar."""
-    return tuple(s for s in campaign.states if isinstance(shown(campaign, s), BallBar))
+    return tuple(s for s in campaign.states if isinstance(artefact_of(campaign, s), BallBar))
 
 
 def every_view(campaign: Campaign, states: Iterable[LoadState]) -> tuple[Subject, ...]:

@@ -115,10 +115,10 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     reference, threads = inputs.context, inputs.threads
     image = spread(grid, images, before, parameters, threads)
     radius = parameters.subset_radius_px
-    cracks = crack_lines(images, image.value, image.variance, image.verified, before.told, radius)
-    cut = cut_out(before.told, image.verified.unlike | cracks, parameters.minimum_region_area_px)
+    cracks = crack_lines(images, image.value, image.variance, image.verified, before.match_regions, radius)
+    cut = cut_out(before.match_regions, image.verified.unlike | cracks, parameters.minimum_region_area_px)
     if cut is not None:
-        out = (before.told > 0) & (cut == 0)
+        out = (before.match_regions > 0) & (cut == 0)
         area = np.count_nonzero(out)
         progress(0.65, f"nothing is alike on {area} px; matching again what is about them")
         before = before.parted(cut, parameters)

@@ -64,7 +64,7 @@ def spread(
     threads: int,
 ) -> ImageDisplacement:
     """Spread the matches over their regions, and verify what comes of that."""
-    surface, labels = before.surface, before.told
+    surface, labels = before.surface, before.match_regions
     position = surface.position if surface.has_depth else in_space(pixels_as_plane(labels.shape))
     value, variance = blend_matches(
         trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads
@@ -147,7 +147,7 @@ def _told_resolution(
     valid = reason == Reason.VALID
     if not valid.any():
         return {}
-    on_surface = resolution * extent_of_pixels(before.surface, before.told, radius)
+    on_surface = resolution * extent_of_pixels(before.surface, before.match_regions, radius)
     return {
         "resolution_px": float(np.median(resolution[valid])),
         "resolution": np.where(valid, on_surface, np.nan).astype(np.float32),
@@ -174,7 +174,7 @@ def field_in_plane(
 ) -> DisplacementField:
     """Return the displacement in the plane of the image, which the specimen does not leave."""
     surface, value, bias = before.surface, image.value, image.verified.bias
-    near = _near_a_match(matches, before.told, parameters.spacing_px)
+    near = _near_a_match(matches, before.match_regions, parameters.spacing_px)
     reason = _reasons(np.isnan(value[0]) | ~near, before, matches)
     reason[~image.verified.agrees & (surface.reason == Reason.VALID) & before.of_interest] = np.uint32(
         Reason.IMAGES_DISAGREE

@@ -34,7 +34,7 @@ from sms_jobs.records.fields import ImageMatches
 
 
 @dataclass(frozen=True)
-class Tried:
+class Attempt:
     """Points that were matched by some subsets: their indices (n,) among all points, and the matches."""
 
     subsets: Subsets
@@ -43,7 +43,7 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Taken:
+class Choice:
     """A displacement that each pixel has from the subsets that serve it best.
 
     Attributes
@@ -52,25 +52,25 @@ class Taken:
         The displacement.
     step
         (rows, columns), which of `tried` a pixel has it from.
-    tried
+    attempts
         The first at all points, the others where somebody wanted them.
     """
 
     image: ImageDisplacement
     step: NDArray[np.uint8]
-    tried: tuple[Tried, ...]
+    attempts: tuple[Attempt, ...]
 
     def record(self, labels: NDArray[np.int32], steps: NDArray[np.int32] | None) -> ImageMatches:
         """Return each point's match by the subsets that its pixel has taken; by the first where they failed.
 
         `labels` and `steps` are those of `matches_record`.
         """
-        first = self.tried[0]
+        first = self.attempts[0]
         record = matches_record(first.grid, labels, steps)
-        if len(self.tried) == 1:
+        if len(self.attempts) == 1:
             return record
         number = np.zeros(len(record.x), dtype=np.int64)
-        for k, one in enumerate(self.tried[1:], start=1):
+        for k, one in enumerate(self.attempts[1:], start=1):
             grid = one.grid
             own = (self.step[grid.y, grid.x] == k) & (grid.matches.ending == CONVERGED)
             where, found = one.points[own], matches_record(grid, labels)
@@ -78,14 +78,16 @@ class Taken:
             for name in ("u", "v", "gradient", "sigma_u", "sigma_v", "score", "iterations"):
                 getattr(record, name)[..., where] = getattr(found, name)[..., own]
         radius, order = (
-            np.array([getattr(one.subsets, name) for one in self.tried], dtype=np.int32)
+            np.array([getattr(one.subsets, name) for one in self.attempts], dtype=np.int32)
             for name in ("radius", "order")
         )
         return replace(record, subset_radius=radius[number], shape_order=order[number])
 
     def resolution(self, before: TexturedState, parameters: CorrelateParameters) -> Floats:
         """Return the spatial resolution in px of each pixel, (rows, columns)."""
-        each = [resolution_in_image(one.grid, before, _with(parameters, one.subsets)) for one in self.tried]
+        each = [
+            resolution_in_image(one.grid, before, _with(parameters, one.subsets)) for one in self.attempts
+        ]
         return np.array(each)[self.step]
 
 
@@ -96,11 +98,11 @@ def take_subsets(
     before: TexturedState,
     parameters: CorrelateParameters,
     threads: int,
-) -> Taken:
+) -> Choice:
     """Return a displacement as it is or, adaptively, from finer subsets where that has a smaller error."""
     first = Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order))
     step = np.zeros(image.value.shape[1:], dtype=np.uint8)
-    tried = [Tried(first, np.arange(len(grid.x)), grid)]
+    tried = [Attempt(first, np.arange(len(grid.x)), grid)]
     now = Verdict(image.value, image.variance, image.verified, step)
     for one in ladder(first)[1:] if parameters.subsets == "adaptive" else ():
         wanted = worth_trying(now)
@@ -113,7 +115,7 @@ def take_subsets(
         found.value[:, ~wanted] = np.nan
         number = np.full_like(step, len(tried) - 1)
         now = better_of(now, Verdict(found.value, found.variance, found.verified, number), one.radius)
-    return Taken(ImageDisplacement(now.value, now.variance, now.verified), now.step, tuple(tried))
+    return Choice(ImageDisplacement(now.value, now.variance, now.verified), now.step, tuple(tried))
 
 
 def _with(parameters: CorrelateParameters, subsets: Subsets) -> CorrelateParameters:
@@ -129,7 +131,7 @@ def _matched(
     subsets: Subsets,
     parameters: CorrelateParameters,
     threads: int,
-) -> Tried:
+) -> Attempt:
     """Match the points again that have a part in what is wanted, from where they were found."""
     reach = int(np.ceil(blending_reach(subsets.radius, WARP)))
     near = widened(wanted, 2 * reach + 1)
@@ -141,4 +143,4 @@ def _matched(
     found = match_points(images, x, y, guess, settings, threads)
     limits = GridSettings(minimum_score=parameters.minimum_score, maximum_sigma=parameters.maximum_sigma_px)
     ending = np.where(is_sure(found, limits), CONVERGED, NOT_CONVERGED).astype(np.int32)
-    return Tried(subsets, points, GridMatches(x, y, replace(found, ending=ending)))
+    return Attempt(subsets, points, GridMatches(x, y, replace(found, ending=ending)))

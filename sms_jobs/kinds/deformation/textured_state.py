@@ -55,7 +55,7 @@ class TexturedState:
     matched: NDArray[np.int32]
 
     @property
-    def told(self) -> NDArray[np.int32]:
+    def match_regions(self) -> NDArray[np.int32]:
         """Return the regions (rows, columns) to whose pixels matches are spread."""
         return self.regions.labels if self.surface.has_depth else self.matched
 

@@ -18,7 +18,7 @@ from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.devices.device import POLLS_EVERY_S
 from sms_jobs.instruments.judging import APART_S, Limits
-from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
+from sms_jobs.instruments.kept_sets import finished_sets, interrupted, recorded
 from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.simulated.optics import Setting
@@ -245,7 +245,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
     spool, sequence = station.spool, task.sequence
     limits = parameters.limits()
     limits = replace(limits, lit_fraction=min(limits.lit_fraction, task.fills), speckled=task.speckled)
-    finished_before = kept(spool)
+    finished_before = finished_sets(spool)
     with connected(station.rig, task.setting, inputs.threads) as rig:
         if task.angles_rad is not None:
             _bring_stage(rig, task.angles_rad, inputs.subject, progress)

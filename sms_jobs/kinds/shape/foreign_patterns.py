@@ -65,13 +65,13 @@ def joint_codes(measurement: Measurement) -> tuple[JointCode, ...]:
     sequence = measurement.sequence
     if not sequence.joint:
         return ()
-    told, levels = told_code(sequence, offsets_of(measurement)), measurement.grey_levels
+    told, levels = stated_code(sequence, offsets_of(measurement)), measurement.grey_levels
     some, _ = in_best_exposure(measurement, sampled(measurement.frames, _ROWS, _COLUMNS))
     each = range(len(sequence.orientations_rad))
     return tuple(with_transfer(some[sequence.frames_of(k)], told, levels) for k in each)
 
 
-def told_code(sequence: FringeSequence, offsets: tuple[float, ...] = ()) -> JointCode:
+def stated_code(sequence: FringeSequence, offsets: tuple[float, ...] = ()) -> JointCode:
     """Return what the frames of an orientation show; `offsets` in rad are added to each density's phase."""
     shown = [
         (density, offset + 2.0 * pi * step / sequence.steps)

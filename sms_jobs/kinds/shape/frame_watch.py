@@ -199,14 +199,16 @@ def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int | floa
     again = "record them again"
     if mishap.what == "count":
         return (
-            f"where {mishap.told:g} fringes are told, the phases are those of {mishap.found:g}: correct the "
-            "fringe densities"
+            f"{mishap.stated:g} fringes are stated, but the phases are those of {mishap.actual:g}: correct "
+            "the fringe densities"
         )
     if mishap.what == "list":
         found, were = (", ".join(map(str, some)) for some in (mishap.densities, told))
         return f"the phases are those of {found} fringes, not of {were}: correct the fringe densities"
     if mishap.what == "steps":
-        return f"they are runs of {mishap.found:g} phase steps, not of {mishap.told}: correct the phase steps"
+        return (
+            f"they are runs of {mishap.actual:g} phase steps, not of {mishap.stated}: correct the phase steps"
+        )
     if mishap.what == "exchanged":
         one, other = map(name, mishap.frames)
         return f"frames {one} and {other} have changed places: correct their order, or {again}"
@@ -216,9 +218,9 @@ def _in_words(mishap: Mishap, name: Callable[[int], str], told: tuple[int | floa
     if mishap.what == "dark":
         return f"frame {frame} is dark: {again}"
     if mishap.what == "doubled":
-        return f"frame {frame} shows the same as frame {name(int(mishap.found))}: {again}"
+        return f"frame {frame} shows the same as frame {name(int(mishap.actual))}: {again}"
     if mishap.what == "gain":
-        return f"frame {frame} is {mishap.found:.2f} times as bright as it should be: {again}"
+        return f"frame {frame} is {mishap.actual:.2f} times as bright as it should be: {again}"
     return (
         f"frame {frame} does not show its pattern, or the scene moved beside it: keep camera and specimen "
         f"still and {again}"

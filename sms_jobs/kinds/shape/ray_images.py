@@ -48,7 +48,7 @@ def stated_of_lines(factor: CalibrationFactor, surface: Surface) -> dict[str, fl
     return {"epipolar_stated_px": float(np.sqrt(np.mean(np.square(sigma))))} if len(points) else {}
 
 
-def told_of_lines(statistics: Mapping[str, float]) -> str:
+def lines_summary(statistics: Mapping[str, float]) -> str:
     """Return in a sentence how far matches lie off the images of their rays, and what was to be expected."""
     found = f"met the rays, whose images the matches miss by {statistics['epipolar_rms_px']:.2g} px (rms)"
     stated = statistics.get("epipolar_stated_px")

@@ -56,9 +56,9 @@ from sms_jobs.kinds.products import (
 from sms_jobs.kinds.resolution import resolution_of_matches
 from sms_jobs.kinds.shape.ray_images import (
     line_width,
+    lines_summary,
     refuse_far_from_rays,
     stated_of_lines,
-    told_of_lines,
     why_nothing,
 )
 from sms_jobs.kinds.shape.textures import white_texture
@@ -212,7 +212,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, told_of_lines(statistics))
+    progress(1.0, lines_summary(statistics))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 

@@ -12,7 +12,7 @@ To put another model here:
 1. Declare its parameters: the fields of `Intrinsics`, after all that are there, and its name in `Model`; tell
    it from the others in `Intrinsics.model` and `is_plain`.
 2. Write its equations: `distorted`, `by_point`, `by_parameters` and, where the inverse needs another place to
-   begin, `begun`, which are compiled too; and where it folds, in `lens_field.py`.
+   begin, `newton_start`, which are compiled too; and where it folds, in `lens_field.py`.
 3. Write them a second time in `virtual_rig/optics.py`, which stays a witness of its own.
 4. Say how other programs write it: in `formats/interchange/found_sensors.py` where OpenCV has other names or
    another order for its coefficients, and in `geometry/thesis_parameters.py` where k1, k2 and k3 are no
@@ -174,7 +174,7 @@ COEFFICIENTS = tuple(LENS)[PIN_HOLE:]
 """Names of the coefficients of the distortion."""
 
 
-def kept(model: Model) -> tuple[str, ...]:
+def fixed_by_default(model: Model) -> tuple[str, ...]:
     """Return the names of those that an adjustment of a model keeps fixed by default."""
     return tuple(name for name, parameter in LENS.items() if model not in parameter.estimated)
 
@@ -184,7 +184,7 @@ def foreign(model: Model) -> tuple[str, ...]:
     return tuple(name for name, parameter in LENS.items() if model not in parameter.models)
 
 
-KEPT = kept("plain")
+KEPT = fixed_by_default("plain")
 """Names of those that an adjustment of plain lenses keeps fixed by default."""
 
 HELD = tuple(name for name, parameter in LENS.items() if parameter.held)
@@ -313,7 +313,7 @@ def by_parameters(lens: Floats, x: Coordinate, y: Coordinate, rows: Floats) -> N
     rows[0, 5] = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
 
 
-def begun(lens: Floats, u: Coordinate, v: Coordinate) -> tuple[Coordinate, Coordinate]:
+def newton_start(lens: Floats, u: Coordinate, v: Coordinate) -> tuple[Coordinate, Coordinate]:
     """Return the normalised point from which Newton's method finds that of a distorted one, (u, v).
 
     Of a fisheye it is the point itself but for rounding, found in the angle, in which the lens is nearly a
@@ -374,7 +374,7 @@ def undistort(intrinsics: Intrinsics, points: Floats) -> Floats:
     target = np.asarray(points, dtype=np.float64)
     lens = intrinsics.vector()
     with np.errstate(all="ignore"):
-        found = np.stack(begun(lens, target[..., 0], target[..., 1]), axis=-1)
+        found = np.stack(newton_start(lens, target[..., 0], target[..., 1]), axis=-1)
         determinant = np.ones(target.shape[:-1])
         for _ in range(_NEWTON_STEPS):
             residual = distort(intrinsics, found) - target

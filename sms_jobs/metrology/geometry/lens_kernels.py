@@ -19,7 +19,7 @@ for _called in (lens.is_plain, lens.plainly_distorted, lens.plainly_by_point):
 distorted = kernel(lens.distorted)
 by_point = kernel(lens.by_point)
 by_parameters = kernel(lens.by_parameters)
-begun = kernel(lens.begun)
+newton_start = kernel(lens.newton_start)
 _is_plain = kernel(lens.is_plain)
 _plainly_distorted = kernel(lens.plainly_distorted)
 _plainly_by_point = kernel(lens.plainly_by_point)
@@ -38,7 +38,7 @@ def _finished(lens: Floats, slopes: tuple[float, float, float, float], result: F
 @kernel
 def _bent_undistorted(lens: Floats, u: float, v: float, result: Floats) -> bool:
     """Do what `undistorted` does for a lens that is not plain."""
-    x, y = begun(lens, u, v)
+    x, y = newton_start(lens, u, v)
     for _ in range(_NEWTON_STEPS):
         bent_x, bent_y = distorted(lens, x, y)
         off_x, off_y = bent_x - u, bent_y - v

@@ -48,7 +48,7 @@ class Mishap:
         Which sort it is.
     frames
         Numbers of the frames, in the order of orientation, density and step, without the density 0.
-    told, found
+    stated, actual
         The number that was told, and what it seems to be: of fringes, of steps; 0 where there is none. Of
         `gain` what is found is the factor, of `doubled` the frame that it is like.
     densities
@@ -57,8 +57,8 @@ class Mishap:
 
     what: What
     frames: tuple[int, ...] = ()
-    told: float = 0
-    found: float = 0.0
+    stated: float = 0
+    actual: float = 0.0
     densities: tuple[float, ...] = ()
 
 
@@ -76,7 +76,7 @@ def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
     thin = tuple(replace(one, levels=np.ascontiguousarray(one.levels[:, ::step])) for one in told)
     wrong = any(fit.few_agree for fit in fits)
     if wrong and (steps := _steps(thin)):
-        return Mishap("steps", told=told[0].steps, found=steps)
+        return Mishap("steps", stated=told[0].steps, actual=steps)
     best, least = None, sum(fit.total for fit in fits)
     at_first = tuple(fit_frames(one) for one in thin)
     for mishap, changed in _explanations(thin, at_first, wrong):
@@ -155,7 +155,7 @@ def _other_words(
         t = told[i]
         for other in range(1, largest):
             if other not in told and (misfit is None or abs(other - t) <= _NEAR):
-                yield Mishap("count", told=t, found=other), (*told[:i], other, *told[i + 1 :])
+                yield Mishap("count", stated=t, actual=other), (*told[:i], other, *told[i + 1 :])
     named: set[tuple[float, ...]] = {
         tuple(t for t in make(s) if t) for make in SEQUENCES.values() for s in range(2, largest)
     }
@@ -197,10 +197,10 @@ def _named(mishap: Mishap, told: tuple[SampledFrames, ...]) -> Mishap:
         if k == number // each:
             apart[number % each] = np.inf
         if apart.min() < _SAME:
-            return replace(mishap, what="doubled", found=k * each + int(apart.argmin()))
+            return replace(mishap, what="doubled", actual=k * each + int(apart.argmin()))
     below = expected < 0.5 * one.grey_levels.full_scale
     if np.corrcoef(frame, expected)[0, 1] > _ALIKE and below.any():
         gain = float(np.median(frame[below] / np.maximum(expected[below], 1.0)))
         if abs(gain - 1.0) > one.accepted_level / 2.0:
-            return replace(mishap, what="gain", found=gain)
+            return replace(mishap, what="gain", actual=gain)
     return mishap

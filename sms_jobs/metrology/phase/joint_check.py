@@ -107,6 +107,6 @@ def _explanations(told: JointFrames) -> Iterator[tuple[Mishap, JointFrames]]:
         for other in (density + apart for apart in _NEAR if density + apart >= 1.0):
             changed = np.where(code.densities == density, other, code.densities)
             yield (
-                Mishap("count", told=density, found=other),
+                Mishap("count", stated=density, actual=other),
                 replace(told, code=replace(code, densities=changed)),
             )

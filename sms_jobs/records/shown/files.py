@@ -68,7 +68,7 @@ class Page:
     """
 
     columns: tuple[str, ...]
-    found: tuple[Found, ...]
+    rows: tuple[Found, ...]
     next: int | None
 
 
@@ -85,7 +85,7 @@ class Ancestor:
     role: str
     file: FileView
     inputs: tuple[Ancestor, ...]
-    told: bool
+    repeated: bool
     more: bool
 
     @property

@@ -41,14 +41,14 @@ class Topic(Enum):
 
 
 @dataclass(frozen=True)
-class Told:
+class Wording:
     """How a topic is told.
 
     Attributes
     ----------
     meaning
         When it is.
-    one, many
+    singular, plural
         Of a campaign, as the subject of a message; empty for a topic that is about none.
     advice
         Where to look next.
@@ -57,53 +57,53 @@ class Told:
     """
 
     meaning: str
-    one: str
-    many: str
+    singular: str
+    plural: str
     advice: str
     state: JobState | None = None
 
 
-TOPICS: Mapping[Topic, Told] = {
-    Topic.JOB_FAILED: Told(
+TOPICS: Mapping[Topic, Wording] = {
+    Topic.JOB_FAILED: Wording(
         "a job has failed",
         "a job of {campaign} has failed",
         "{count} jobs of {campaign} have failed",
         "'sms job list -c {campaign} --state failed' shows them",
         JobState.FAILED,
     ),
-    Topic.JOB_QUARANTINED: Told(
+    Topic.JOB_QUARANTINED: Wording(
         "a job has brought its worker down too often and is held back",
         "a job of {campaign} is quarantined",
         "{count} jobs of {campaign} are quarantined",
         "'sms job list -c {campaign} --state quarantined' shows them",
         JobState.QUARANTINED,
     ),
-    Topic.NEEDS_OPERATOR: Told(
+    Topic.NEEDS_OPERATOR: Wording(
         "a recording was interrupted, or an instrument gave up, and waits for a person",
         "a job of {campaign} needs an operator",
         "{count} jobs of {campaign} need an operator",
         "look at the rig; 'sms job list -c {campaign} --state needs-operator' shows them",
         JobState.NEEDS_OPERATOR,
     ),
-    Topic.QUEUE_DONE: Told(
+    Topic.QUEUE_DONE: Wording(
         "jobs have run, and for a minute none has been left that could",
         "the queue is done",
         "the queue is done",
         "'sms status' shows how everything stands",
     ),
-    Topic.SCHEDULE_MISSED: Told(
+    Topic.SCHEDULE_MISSED: Wording(
         "a schedule's time passed without its jobs, or they could not be submitted",
         "a schedule of {campaign} missed its time",
         "schedules of {campaign} missed {count} times",
         "'sms schedule list' shows them",
     ),
-    Topic.DISK_LOW: Told(
+    Topic.DISK_LOW: Wording(
         "the archive's disk has little room left, or queues wait for room; once a day",
         "the archive's disk has little room left",
         "the archive's disk has little room left",
         "free some space, or see 'sms archive gc --help'",
     ),
-    Topic.LIMIT_REACHED: Told(
+    Topic.LIMIT_REACHED: Wording(
         "the quick look at a recorded state is beyond a limit, and its plan is held",
         "the plan of {campaign} is held by a quick look",
         "the plan of {campaign} is held by {count} quick looks",

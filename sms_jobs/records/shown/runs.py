@@ -73,7 +73,7 @@ class RunStory:
 
     Attributes
     ----------
-    asked
+    parameters
         Values of parameters that were given to it, by `kind.name`; those given last.
     results
         In order of kind and subject.
@@ -82,7 +82,7 @@ class RunStory:
     """
 
     run: RunView
-    asked: Mapping[str, Any]
+    parameters: Mapping[str, Any]
     results: tuple[RunResult, ...]
     missing: Mapping[str, str]
 
@@ -104,7 +104,7 @@ class RunChange:
         Values, or what they were; of several the first, by subject.
     results
         How many results it is about.
-    asked
+    intended
         Whether that was asked for: a parameter that was given otherwise or, where none was, the version.
     """
 
@@ -114,7 +114,7 @@ class RunChange:
     before: Any
     after: Any
     results: int
-    asked: bool
+    intended: bool
 
 
 @dataclass(frozen=True)
@@ -183,4 +183,4 @@ class RunComparison:
     @property
     def unasked(self) -> tuple[RunChange, ...]:
         """What changed that nobody asked for."""
-        return tuple(change for change in self.changes if not change.asked)
+        return tuple(change for change in self.changes if not change.intended)

@@ -51,7 +51,7 @@ class StatePage:
 
     columns: tuple[str, ...]
     by_view: tuple[str, ...]
-    found: tuple[FoundState, ...]
+    rows: tuple[FoundState, ...]
     next: int | None
 
 

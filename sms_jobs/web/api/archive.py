@@ -10,15 +10,15 @@ from pydantic import Field
 
 from sms_jobs.app.holdings import archive
 from sms_jobs.records.shown.archive_state import ArchiveState
-from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.long_work import MEDIA, followed
+from sms_jobs.web.request_bodies import RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("archive")
 
 
-class Verification(Asked):
+class Verification(RequestBody):
     """Which files are compared, and how."""
 
     campaign: Annotated[Text | None, Field(description="Only its files.")] = None
@@ -26,13 +26,13 @@ class Verification(Asked):
     after: Annotated[int, Field(ge=0, le=2**31 - 1, description="Go on after the file of this number.")] = 0
 
 
-class Mending(Asked):
+class Mending(RequestBody):
     """How files are compared before it is said what would be mended."""
 
     quick: Annotated[bool, Field(description="Look at presence and size alone.")] = False
 
 
-class Retention(Asked):
+class Retention(RequestBody):
     """What counts as old."""
 
     days: Annotated[float, Field(ge=0, le=1e5, description="Only what is older.")]

@@ -12,8 +12,8 @@ from sms_jobs.app.fields import arrays, zarr_view
 from sms_jobs.app.fields.arrays import FileArrays
 from sms_jobs.app.holdings import reading
 from sms_jobs.app.holdings.reading import Newest, RecordParts
-from sms_jobs.web.asked import Name, Number, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, Number, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("arrays")

@@ -8,8 +8,8 @@ from fastapi import Query
 
 from sms_jobs.app.accounts import audit
 from sms_jobs.records.shown.people import Link
-from sms_jobs.web.asked import Limit, Moment, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Limit, Moment, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("audit")

@@ -7,13 +7,13 @@ from typing import Annotated, Any, Literal
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app.calibrating import calibration_drift, calibration_worth, calibrations
+from sms_jobs.app.calibrating import calibration_drift, calibration_overview, calibrations
 from sms_jobs.app.calibrating.calibration_drift import Drift
-from sms_jobs.app.calibrating.calibration_worth import Overview
+from sms_jobs.app.calibrating.calibration_overview import Overview
 from sms_jobs.app.calibrating.calibrations import CalibrationText, Decision
-from sms_jobs.web.asked import Asked, FileNumber, Moment, Number, Text
 from sms_jobs.web.confirming import Confirmed, confirmed
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import FileNumber, Moment, Number, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("calibrations")
@@ -29,7 +29,7 @@ class Certification(Confirmed):
     despite_warnings: bool = False
 
 
-class Check(Asked):
+class Check(RequestBody):
     """Tuples by whose ray gaps a calibration is checked."""
 
     tuples: Annotated[list[Text], Field(min_length=1, max_length=100, description="As campaign/state/view.")]
@@ -89,10 +89,10 @@ def drift(services: Acting, rig: Text) -> Any:
     return answer(calibration_drift.drift(services, rig))
 
 
-@ROUTES.offer("GET", "/calibrations/{number}", calibration_worth.overview, answers=Overview)
+@ROUTES.offer("GET", "/calibrations/{number}", calibration_overview.overview, answers=Overview)
 def show(services: Acting, number: Number) -> Any:
     """Return a calibration with what is known of it."""
-    return answer(calibration_worth.overview(services, number))
+    return answer(calibration_overview.overview(services, number))
 
 
 @ROUTES.offer("POST", "/calibrations/{number}/use", calibrations.decide, answers=Decision)

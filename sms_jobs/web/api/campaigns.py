@@ -14,8 +14,8 @@ from sms_jobs.app.specimens.campaigns import Campaigns
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.records.shown.state_progress import StateProgress
-from sms_jobs.web.asked import Asked, Limit, LongText, Name, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Limit, LongText, Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 from sms_jobs.web.sent_texts import text_as_file
 
@@ -42,20 +42,20 @@ class CampaignAnswer:
     times: dict[str, datetime]
 
 
-class NewCampaign(Asked):
+class NewCampaign(RequestBody):
     """A campaign, or a calibration session, that is to be made."""
 
     plan: Annotated[LongText, Field(description="Text of the plan, as of `sms campaign create`.")]
 
 
-class NewState(Asked):
+class NewState(RequestBody):
     """A state more, behind those that a campaign has."""
 
     label: Text
     load_n: Annotated[float | None, Field(ge=-1e12, le=1e12, description="As it is planned, in N.")] = None
 
 
-class NewView(Asked):
+class NewView(RequestBody):
     """A view more, from now on."""
 
     view: Annotated[Text, Field(description="As C2P1, C1C2 or C3.")]
@@ -70,7 +70,7 @@ class AddedView:
     unseen: tuple[str, ...]
 
 
-class NewExperiment(Asked):
+class NewExperiment(RequestBody):
     """An experiment on the virtual rig that is to be made."""
 
     experiment: Annotated[Text, Field(description="One of GET /experiments.")]

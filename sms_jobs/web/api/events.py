@@ -21,9 +21,9 @@ from sms_jobs.errors import NotAllowed, ServerUnreachable, SmsError
 from sms_jobs.records.people import Right
 from sms_jobs.records.plain import plain
 from sms_jobs.web import identity
-from sms_jobs.web.asked import Text
 from sms_jobs.web.following import Follower, Listener
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Text
 from sms_jobs.web.routes import Routes
 
 ROUTES = Routes("events")

@@ -9,11 +9,11 @@ from fastapi import Query
 from fastapi.responses import Response
 
 from sms_jobs.app.fields import field_comparison, state_comparison, surface_fields
-from sms_jobs.app.fields.field_comparison import How
+from sms_jobs.app.fields.field_comparison import ComparisonOptions
 from sms_jobs.errors import InvalidInput
 from sms_jobs.web.api.files import DRAWING, PNG
-from sms_jobs.web.asked import Name, Number, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, Number, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("fields")
@@ -73,7 +73,7 @@ def compare(
     form: Form = "json",
 ) -> Any:
     """Subtract the displacement of another merged result."""
-    how = How(None, 1.0, align, free_of_motion, within_mm)
+    how = ComparisonOptions(None, 1.0, align, free_of_motion, within_mm)
     found = field_comparison.difference_of(services, str(key), str(other), how)
     facts = {"file": key, "other": other}
     return _formed(
@@ -96,7 +96,7 @@ def compare_states(
     if "{" in other:
         # What the command line takes there are files of the machine on which it runs.
         raise InvalidInput("'with' takes the name of a campaign; files are compared on the command line")
-    how = How(None, 1.0, align, free_of_motion, within_mm)
+    how = ComparisonOptions(None, 1.0, align, free_of_motion, within_mm)
     found = state_comparison.compare_states(services, name, other, kind, how)
     states = [one.named() for one in found.states]
     return _formed(

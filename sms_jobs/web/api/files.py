@@ -20,9 +20,9 @@ from sms_jobs.app.holdings import files, packing, sealed_files
 from sms_jobs.app.holdings.files import Description, Tree
 from sms_jobs.app.holdings.sealed_files import SealedFile
 from sms_jobs.records.shown.files import FileView
-from sms_jobs.web.asked import Asked, Number, Text
 from sms_jobs.web.byte_ranges import range_of
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Number, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("files")
@@ -34,7 +34,7 @@ _BLOCK_BYTES = 1 << 20
 _ANY = "*/*"
 
 
-class Reason(Asked):
+class Reason(RequestBody):
     """Why a file is kept."""
 
     reason: Annotated[Text, Field(min_length=1)]

@@ -14,8 +14,8 @@ from sms_jobs.app.holdings.finding import Question
 from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.shown.states import FoundState
-from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("find")
@@ -28,7 +28,7 @@ Columns = Annotated[
 ]
 
 
-class NewQuery(Asked):
+class NewQuery(RequestBody):
     """A query and its name."""
 
     name: Text
@@ -81,7 +81,7 @@ class FoundStatesPage:
     ----------
     columns, by_view, times
         Names of the values; those of them that each view has its own of, and those that are times.
-    found
+    states
         Each with its `values`, those of its `views`, and the views that meet the question.
     next
         What to go on after; None on the last page.
@@ -90,7 +90,7 @@ class FoundStatesPage:
     columns: tuple[str, ...]
     by_view: tuple[str, ...]
     times: tuple[str, ...]
-    found: tuple[FoundState, ...]
+    states: tuple[FoundState, ...]
     next: int | None
 
 
@@ -113,8 +113,8 @@ def states(
     asked = finding.question(query, kind=kind, campaign=campaign, state=state, view=view)
     page = next(find_states(services, asked, finding.portion(columns, after, limit)))
     whole = [name for name in page.columns if name not in page.by_view]
-    times = (n for n in whole if any(isinstance(one.values[n], datetime) for one in page.found))
-    return answer(FoundStatesPage(page.columns, page.by_view, tuple(times), page.found, page.next))
+    times = (n for n in whole if any(isinstance(one.values[n], datetime) for one in page.rows))
+    return answer(FoundStatesPage(page.columns, page.by_view, tuple(times), page.rows, page.next))
 
 
 @ROUTES.offer("GET", "/data/queries", finding.queries, answers=returned(finding.queries))
@@ -144,6 +144,6 @@ def remove(services: Acting, name: Name) -> Any:
 
 def _page(services: Services, asked: Question, columns: str | None, limit: int, after: int | None) -> Any:
     page = next(finding.find(services, asked, finding.portion(columns, after, limit)))
-    times = (n for n in page.columns if any(isinstance(one.values[n], datetime) for one in page.found))
-    files = [asdict(one.file) | {"values": one.values} for one in page.found]
+    times = (n for n in page.columns if any(isinstance(one.values[n], datetime) for one in page.rows))
+    files = [asdict(one.file) | {"values": one.values} for one in page.rows]
     return answer(FoundPage(page.columns, tuple(times), files, page.next))

@@ -14,8 +14,8 @@ from sms_jobs.app.home.service import Status
 from sms_jobs.app.work import kinds
 from sms_jobs.app.work.kinds import KindView
 from sms_jobs.bootstrap import Services
-from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 from sms_jobs.web.sharing import Shared
 
@@ -48,7 +48,7 @@ def metrics(services: Acting) -> Response:
     return Response(service.metrics(services), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
-class Drained(Asked):
+class Drained(RequestBody):
     """Which worker is to end."""
 
     worker: Annotated[Text, Field(description="Beginning of its id.")]

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from sms_jobs.app.calibrating import calibrations
 from sms_jobs.app.importing import boards, frames, images, points, readings, surface, uploads
-from sms_jobs.app.importing.image_entry import How
+from sms_jobs.app.importing.image_entry import EntryOptions
 from sms_jobs.app.importing.outcomes import Outcome
 from sms_jobs.app.importing.points import ImportedPoints
 from sms_jobs.app.importing.surface import ImportedSurface
@@ -28,9 +28,9 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.sensors import Box
 from sms_jobs.records.supplements import Supplement
-from sms_jobs.web.asked import Asked, LongText, Moment, Text, Texts
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.long_work import MEDIA, followed
+from sms_jobs.web.request_bodies import LongText, Moment, RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer
 from sms_jobs.web.sent_texts import text_as_file
 
@@ -54,7 +54,7 @@ Flatness = Annotated[
 FileName = Annotated[Text, Field(min_length=1, description="Path of the file in the upload.")]
 
 
-class FromFolder(Asked):
+class FromFolder(RequestBody):
     """Images of a folder of an upload."""
 
     upload: UploadId
@@ -113,7 +113,7 @@ class Frames(FromFolder):
     plan: Annotated[LongText | None, Field(description="Text of the plan of a new campaign.")] = None
 
 
-class Readings(Asked):
+class Readings(RequestBody):
     """A table of readings that become channels of a campaign's states."""
 
     upload: UploadId
@@ -131,7 +131,7 @@ class Readings(Asked):
     dry_run: bool = False
 
 
-class Points(Asked):
+class Points(RequestBody):
     """Points of a board that another program has found."""
 
     upload: UploadId
@@ -147,7 +147,7 @@ class Points(Asked):
     dry_run: bool = False
 
 
-class ReferenceSurface(Asked):
+class ReferenceSurface(RequestBody):
     """The surface that a campaign is compared with."""
 
     upload: UploadId
@@ -157,7 +157,7 @@ class ReferenceSurface(Asked):
     turn_over: bool = False
 
 
-class ForeignCalibration(Asked):
+class ForeignCalibration(RequestBody):
     """A calibration that was made elsewhere."""
 
     upload: UploadId
@@ -295,8 +295,8 @@ _OF_CHESSBOARD = {"rig", "chessboard", "pitch_mm", "pitch_relative_sigma", "flat
 Lay = Callable[[str | None, str], Path | None]
 
 
-def _how(body: FromFolder) -> How:
-    return How(body.recorded_at, body.newer, body.dry_run)
+def _how(body: FromFolder) -> EntryOptions:
+    return EntryOptions(body.recorded_at, body.newer, body.dry_run)
 
 
 def _outcome(pattern: str, done: Outcome) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import WaitTimedOut
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.estimates import Estimate
-from sms_jobs.web.asked import Asked, Campaign, Jobs, Limit, Name, Priority, Text, Texts
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Campaign, Jobs, Limit, Name, Priority, RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("jobs")
@@ -29,7 +29,7 @@ _LONGEST_WAIT_S = 55.0
 """Proxies give up after a minute."""
 
 
-class Computation(Asked):
+class Computation(RequestBody):
     """What is to be computed, whatever of."""
 
     kinds: Annotated[list[Text], Field(min_length=1, max_length=100)]
@@ -80,7 +80,7 @@ class FoundSubmission(Computation):
     dry_run: Annotated[bool, Field(description="Only say what would be submitted.")] = False
 
 
-class SomeJobs(Asked):
+class SomeJobs(RequestBody):
     """Jobs by their ids, or those of a campaign."""
 
     jobs: Jobs = []

@@ -9,8 +9,8 @@ from pydantic import Field
 from sms_jobs.app.accounts import notifications
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.notifications import Address, Topic
-from sms_jobs.web.asked import Asked, Limit, Name, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Limit, Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("notifications")
@@ -18,7 +18,7 @@ ROUTES = Routes("notifications")
 Topics = Annotated[list[Annotated[Topic, Field(strict=False)]], Field(min_length=1, max_length=len(Topic))]
 
 
-class NewSubscription(Asked):
+class NewSubscription(RequestBody):
     """Somebody who is to be told, by mail or by webhook."""
 
     name: Text

@@ -11,9 +11,9 @@ from sms_jobs.app.accounts import people
 from sms_jobs.app.accounts.people import NewToken
 from sms_jobs.records.people import Role
 from sms_jobs.records.shown.people import AccessView, PersonView
-from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.confirming import Password
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("people")
@@ -21,7 +21,7 @@ ROUTES = Routes("people")
 RoleName = Annotated[Role, Field(strict=False)]
 
 
-class NewPerson(Asked):
+class NewPerson(RequestBody):
     """Somebody who is to have a name here."""
 
     name: Text
@@ -29,26 +29,26 @@ class NewPerson(Asked):
     password: Annotated[Password | None, Field(description="None for the account of that name alone.")] = None
 
 
-class ToRole(Asked):
+class ToRole(RequestBody):
     """What somebody is to be."""
 
     role: RoleName
 
 
-class ToActive(Asked):
+class ToActive(RequestBody):
     """Whether somebody may come in."""
 
     active: bool
 
 
-class NewPassword(Asked):
+class NewPassword(RequestBody):
     """A password that is to hold from now on."""
 
     password: Password
     old: Annotated[Password | None, Field(description="Needed for one's own.")] = None
 
 
-class NewAccess(Asked):
+class NewAccess(RequestBody):
     """A token that is to be made for whoever asks."""
 
     label: Annotated[Text, Field(description="What it is for.")]

@@ -15,8 +15,8 @@ from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.shown.quick_looks import QuickLookView
 from sms_jobs.records.units import typed
-from sms_jobs.web.asked import Asked, Text, Texts
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("planned recordings")
@@ -25,7 +25,7 @@ States = Annotated[Texts, Field(description="Labels; all if not given.")]
 Count = Annotated[int, Field(ge=0, le=10**15)]
 
 
-class NewPlan(Asked):
+class NewPlan(RequestBody):
     """States that are to be recorded, and one thing that each waits for; without any, the one before it."""
 
     campaign: Text
@@ -85,14 +85,14 @@ class NewPlan(Asked):
         return InTime(self.every_s)
 
 
-class PlannedStates(Asked):
+class PlannedStates(RequestBody):
     """States of the plan of a campaign."""
 
     campaign: Text
     states: States = []
 
 
-class Moved(Asked):
+class Moved(RequestBody):
     """A state of a plan, and before which other one it is to come."""
 
     campaign: Text

@@ -14,8 +14,8 @@ from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.shown.last_frames import LastFrame
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.web.api.files import PNG
-from sms_jobs.web.asked import Asked, Name, Text, Texts
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("recordings")
@@ -23,7 +23,7 @@ ROUTES = Routes("recordings")
 Labels = Annotated[list[Text], Query(default_factory=list, description="Of states; all if not given.")]
 
 
-class NewRecordings(Asked):
+class NewRecordings(RequestBody):
     """States that are to be recorded."""
 
     campaign: Text
@@ -32,20 +32,20 @@ class NewRecordings(Asked):
     process: Annotated[bool, Field(description="Process each state once it is recorded.")] = False
 
 
-class Going(Asked):
+class Going(RequestBody):
     """A recording that is to go on."""
 
     job: Annotated[Text, Field(description="Id of the job, or its beginning.")]
     retake: Annotated[bool, Field(description="Record the doubtful sets again.")] = False
 
 
-class Aborting(Asked):
+class Aborting(RequestBody):
     """A recording that is to stop."""
 
     job: Annotated[Text | None, Field(description="Its id or beginning; all if not given.")] = None
 
 
-class Processing(Asked):
+class Processing(RequestBody):
     """A campaign whose recordings are to be processed."""
 
     campaign: Text

@@ -12,22 +12,22 @@ from pydantic import Field
 
 from sms_jobs.app.measuring import rigs
 from sms_jobs.records.optical_instruments import RigFile
-from sms_jobs.web.asked import Asked, LongText, Name
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import LongText, Name, RequestBody
 from sms_jobs.web.routes import Routes, answer, returned
 from sms_jobs.web.sent_texts import text_as_file
 
 ROUTES = Routes("rigs")
 
 
-class NewRig(Asked):
+class NewRig(RequestBody):
     """A rig that is to be connected."""
 
     file: Annotated[LongText, Field(description="Text of the rig file, as of `sms rig add`.")]
     replace: bool = False
 
 
-class Pose(Asked):
+class Pose(RequestBody):
     """Where the stage is to stand."""
 
     pan_deg: Annotated[float, Field(ge=-360, le=360)]
@@ -76,7 +76,7 @@ def file_text(services: Acting, rig: Name) -> Any:
 def check(services: Acting, rig: Name) -> Any:
     """Talk to every instrument of a rig."""
     done = rigs.check(services, rig)
-    return answer({"rig": rig, "found": done.found, "units": done.units})
+    return answer({"rig": rig, "check": done.check, "units": done.units})
 
 
 @ROUTES.offer("POST", "/rigs/{rig}/home", rigs.home_stage, answers=dict[str, str | int])

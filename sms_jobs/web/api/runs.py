@@ -9,8 +9,8 @@ from fastapi.responses import Response
 
 from sms_jobs.app.work import run_comparison, runs
 from sms_jobs.records.shown.runs import RunComparison, RunStory, RunView
-from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("runs")
@@ -18,7 +18,7 @@ ROUTES = Routes("runs")
 _HTML = "text/html"
 
 
-class Kept(Asked):
+class Kept(RequestBody):
     """Why a run is kept."""
 
     reason: Text = ""

@@ -12,8 +12,8 @@ from pydantic import Field
 from sms_jobs.app.work import schedules
 from sms_jobs.errors import InvalidInput
 from sms_jobs.web.api.jobs import NewJobs
-from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 
 ROUTES = Routes("schedules")
@@ -41,7 +41,7 @@ class NewSchedule(NewJobs):
         return given[0]
 
 
-class Holding(Asked):
+class Holding(RequestBody):
     """Whether a schedule is held back."""
 
     paused: bool

@@ -16,15 +16,15 @@ from sms_jobs.app.accounts.identity import Identity
 from sms_jobs.app.accounts.people import LoggedIn
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import ANONYMOUS
-from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.confirming import Password
 from sms_jobs.web.identity import COOKIE, Acting, origin_of
+from sms_jobs.web.request_bodies import RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("session")
 
 
-class Credentials(Asked):
+class Credentials(RequestBody):
     """Who logs in."""
 
     name: Text

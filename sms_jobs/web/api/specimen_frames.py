@@ -10,8 +10,8 @@ from pydantic import Field
 from sms_jobs.app.specimens import specimen_frames
 from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.records.specimen_frame import SpecimenFrame
-from sms_jobs.web.asked import Asked, Name, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("campaigns")
@@ -37,7 +37,7 @@ class FrameAnswer:
     stale: dict[str, int]
 
 
-class NewFrame(Asked):
+class NewFrame(RequestBody):
     """How a frame is found: by three points, or by two and the plane of a region."""
 
     x: Annotated[Point, Field(description="A point of the x axis.")]

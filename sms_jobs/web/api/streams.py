@@ -12,8 +12,8 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.events import typed_event
 from sms_jobs.records.shown.streams import StreamRehearsal
 from sms_jobs.web.api.recordings import BegunRecordings
-from sms_jobs.web.asked import Asked, Text
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import RequestBody, Text
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("streams")
@@ -22,7 +22,7 @@ _LONGEST_AROUND_S = 3600.0
 Around = Annotated[float | None, Field(ge=0, le=_LONGEST_AROUND_S, description="With `around`.")]
 
 
-class NewStream(Asked):
+class NewStream(RequestBody):
     """What is to be streamed, and whose states its frames become."""
 
     campaign: Text

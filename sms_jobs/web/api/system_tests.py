@@ -9,8 +9,8 @@ from pydantic import Field
 from sms_jobs.app.calibrating import system_tests
 from sms_jobs.app.calibrating.system_tests import BarCertificate, PlannedPosition, PlateCertificate
 from sms_jobs.records.shown.system_tests import SystemVerdict
-from sms_jobs.web.asked import Asked, Text, Texts
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("calibrations")
@@ -19,7 +19,7 @@ _Size = Annotated[float, Field(gt=0, le=1e6, description="In mm.")]
 _Sigma = Annotated[float, Field(ge=0, le=1e6, description="Standard uncertainty in mm.")]
 
 
-class Bar(Asked):
+class Bar(RequestBody):
     """Certificate of a ball bar."""
 
     length_mm: _Size
@@ -29,7 +29,7 @@ class Bar(Asked):
     form_sigma_mm: _Sigma = 0.0
 
 
-class Plate(Asked):
+class Plate(RequestBody):
     """Certificate of a flat plate."""
 
     width_mm: _Size
@@ -37,7 +37,7 @@ class Plate(Asked):
     form_sigma_mm: _Sigma = 0.0
 
 
-class NewTest(Asked):
+class NewTest(RequestBody):
     """A test of a rig by a bar, a plate, or both."""
 
     rig: Text
@@ -49,7 +49,7 @@ class NewTest(Asked):
     ] = None
 
 
-class Judged(Asked):
+class Judged(RequestBody):
     """Campaigns of a test, and the limits that it is judged by."""
 
     campaigns: Annotated[Texts, Field(min_length=1)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi.responses import HTMLResponse
 from markupsafe import Markup
 
-from sms_jobs.app.calibrating import calibration_drift, calibration_worth, calibrations
+from sms_jobs.app.calibrating import calibration_drift, calibration_overview, calibrations
 from sms_jobs.app.calibrating.calibration_drift import Drift
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.console import Entry, Page, Pages
@@ -27,10 +27,10 @@ def _drift(services: Services, rig: str) -> tuple[Drift, Markup]:
     return drift, Markup(calibration_drift.drift_chart(drift))  # noqa: S704 - it escapes what it writes
 
 
-@PAGES.show("/calibrations/{number}", calibration_worth.overview)
+@PAGES.show("/calibrations/{number}", calibration_overview.overview)
 def show(page: Page, number: int) -> HTMLResponse:
     """Show a calibration and what speaks for and against it."""
-    overview = calibration_worth.overview(page.services, number)
+    overview = calibration_overview.overview(page.services, number)
     return page.render(
         "calibration.html",
         calibration=overview,
@@ -46,4 +46,4 @@ def show(page: Page, number: int) -> HTMLResponse:
 @PAGES.show("/certify/{session}", calibrations.certify)
 def certify(page: Page, session: str) -> HTMLResponse:
     """Show what a session gave, and ask whether it is taken into use."""
-    return page.render("certify.html", candidate=calibration_worth.candidate(page.services, session))
+    return page.render("certify.html", candidate=calibration_overview.candidate(page.services, session))

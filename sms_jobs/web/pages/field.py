@@ -10,7 +10,7 @@ from fastapi import Path, Query
 from fastapi.responses import HTMLResponse, Response
 
 from sms_jobs.app.fields import exporting, field_pages
-from sms_jobs.app.fields.field_pages import Alike, FieldPage
+from sms_jobs.app.fields.field_pages import FieldPage, SimilarResult
 from sms_jobs.web.console import Page, Pages
 
 PAGES = Pages("field")
@@ -34,7 +34,7 @@ def field(
         beside=beside,
         maps=[_about(one, f"m{place}") for place, one in enumerate((shown, beside)) if one is not None],
         steps=_steps(shown),
-        views=[one for one in shown.alike if one.state == shown.state],
+        views=[one for one in shown.similar if one.state == shown.state],
         formats=exporting.formats(),
     )
 
@@ -65,9 +65,9 @@ def _own(name: str) -> str:
     return files("sms_jobs.web").joinpath("static", name).read_text(encoding="utf-8")
 
 
-def _steps(shown: FieldPage) -> tuple[Alike | None, Alike | None]:
+def _steps(shown: FieldPage) -> tuple[SimilarResult | None, SimilarResult | None]:
     """Return the same view of the state before, and of that after."""
-    row = [one for one in shown.alike if one.view == shown.view]
+    row = [one for one in shown.similar if one.view == shown.view]
     place = next((k for k, one in enumerate(row) if one.file == shown.file.id), None)
     if place is None:
         return None, None
@@ -76,7 +76,7 @@ def _steps(shown: FieldPage) -> tuple[Alike | None, Alike | None]:
 
 def _about(shown: FieldPage, name: str) -> dict[str, Any]:
     """Return what the script that draws has to know."""
-    row = [one for one in shown.alike if one.view == shown.view]
+    row = [one for one in shown.similar if one.view == shown.view]
     return {
         "id": name,
         "file": shown.file.id,

@@ -128,7 +128,7 @@ def test_a_turn_of_100_microradians_is_found_and_explained(rng: np.random.Genera
     assert found.explained > 0.99
     turn = found.changes[0]
     assert turn.name == CHANGES[0]
-    assert turn.seen
+    assert turn.determined
     # Four deviations, and a tenth for what other changes share of the pattern where they are hardly told.
     assert abs(turn.value - 1e-4) < 4.0 * turn.sigma + 1e-5
 
@@ -138,7 +138,9 @@ def test_the_explanation_scatters_as_predicted(rng: np.random.Generator) -> None
     for _ in range(20):
         change = 0.1 * PLAUSIBLE * rng.standard_normal(7)
         found = check(measure(rng, BY_CHANGE @ change))
-        scores += [(c.value - v) / c.sigma for c, v in zip(found.changes, change, strict=True) if c.seen]
+        scores += [
+            (c.value - v) / c.sigma for c, v in zip(found.changes, change, strict=True) if c.determined
+        ]
     # 60 scores and more are known to 9 %; what leaks in of directions that are not told, which count for up
     # to a tenth of a parameter that is called seen, only adds.
     assert len(scores) >= 60

@@ -26,7 +26,7 @@ def quality() -> CalibrationQuality:
     return CalibrationQuality(
         *("board frame of pose B01", "the boards alone", 6, 2000, 30),
         *(nothing, nothing, nothing, {}, (), nothing, nothing),
-        found={name: value for one in ESTIMATES for name, value in one.told().items()},
+        found={name: value for one in ESTIMATES for name, value in one.labelled().items()},
         views=(),
         place=np.empty((0, 3)),
         expected_sigma=np.empty((0, 0)),

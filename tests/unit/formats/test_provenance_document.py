@@ -80,14 +80,14 @@ def test_a_job_with_its_files_and_people_becomes_a_document() -> None:
     files = [DocumentedFile(path, "ab" * 32, {"kind": "x", "nothing": None}) for path in ("in.h5", "a b.h5")]
     job = DocumentedActivity(
         name="0123",
-        begun=NOW,
+        started=NOW,
         ended=NOW + timedelta(seconds=3),
         program_version="0.1.0",
         host="here",
         operator="Jürgen Müller",
         attributes={"kind": "x", "kind_version": 2, "parameters": '{"a": 1}'},
         used=(DocumentedInput("measured", "in.h5"),),
-        made=(("a b.h5", NOW),),
+        outputs=(("a b.h5", NOW),),
     )
     document = provenance_document(files, [job])
     strictly(document)

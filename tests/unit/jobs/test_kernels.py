@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work.kernels import left
+from sms_jobs.app.work.kernels import kernels_left
 from sms_jobs.cli.doctor import doctor
 from sms_jobs.jobs.running import kernels
 from sms_jobs.jobs.running.kernels import Kernel
@@ -126,10 +126,10 @@ def test_a_service_compiles_what_is_missing_and_nothing_again(some, tmp_path):
 def test_how_many_are_left_is_told_while_they_are_compiled(tmp_path):
     bootstrap.initialise(tmp_path)
     with bootstrap.services(tmp_path) as services:
-        assert left(services) == 0
+        assert kernels_left(services) == 0
         services.settings.kernels_left_file.parent.mkdir(exist_ok=True)
         services.settings.kernels_left_file.write_text("17\n")
-        assert left(services) == 17
+        assert kernels_left(services) == 17
 
 
 def test_the_doctor_compiles_what_is_missing_and_tells_what_it_took(some, tmp_path, monkeypatch, capsys):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from sms_jobs.jobs.asking.run_changes import alone, changes, pairs
-from sms_jobs.jobs.asking.runs import Given, Member, Members
+from sms_jobs.jobs.asking.runs import Member, Members, ResultInput
 from sms_jobs.records.shown.runs import RunResult
 
 SUBJECTS = ("plate/S01/C1P1", "plate/S02/C1P1")
@@ -26,13 +26,13 @@ def run(*some: Member, asked: dict[str, Any] | None = None) -> Members:
 
 def told(before: Members, after: Members) -> list[tuple[Any, ...]]:
     return [
-        (one.what, one.kind, one.name, one.before, one.after, one.results, one.asked)
+        (one.what, one.kind, one.name, one.before, one.after, one.results, one.intended)
         for one in changes(before, after)
     ]
 
 
-def frames(number: int, job: str | None = None) -> Given:
-    return Given(number, "measurement" if job is None else "correlate", f"content {number}", job)
+def frames(number: int, job: str | None = None) -> ResultInput:
+    return ResultInput(number, "measurement" if job is None else "correlate", f"content {number}", job)
 
 
 def test_nothing_is_told_where_all_is_the_same() -> None:

@@ -58,7 +58,7 @@ def test_frames_that_have_changed_places_are_named() -> None:
 def test_a_wrong_number_of_fringes_is_named() -> None:
     calibration, measurement, _ = simulated(EMBEDDED)
     told = FringeSequence.with_counts((16, 18, 20), (3, 2, 2), BOTH)
-    with pytest.raises(MeasurementFailed, match="where 18 fringes are told, the phases are those of 17"):
+    with pytest.raises(MeasurementFailed, match="18 fringes are stated, but the phases are those of 17"):
         reconstructed(calibration, replace(measurement, sequence=told))
 
 

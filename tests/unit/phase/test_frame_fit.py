@@ -61,7 +61,7 @@ def test_a_frame_that_departs_is_guilty_alone(rng: np.random.Generator) -> None:
     found = find_mishap((told,), (fit,))
     assert found is not None
     assert (found.what, found.frames) == ("gain", (6,))
-    assert found.found == pytest.approx(0.9, abs=0.01)
+    assert found.actual == pytest.approx(0.9, abs=0.01)
 
 
 def test_a_whole_list_of_another_family_is_found(rng: np.random.Generator) -> None:

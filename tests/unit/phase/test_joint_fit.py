@@ -155,7 +155,7 @@ def test_a_wrong_number_of_fringes_is_named(omega: NDArray[np.float64], rng: np.
     wrong_code = replace(code, densities=np.where(code.densities == 17.0, 18.0, code.densities))
     told = JointFrames(frames, wrong_code, grey, 0.02)
     assert not agrees(told.share())
-    assert find_joint_mishap(told) == Mishap("count", told=18.0, found=17.0)
+    assert find_joint_mishap(told) == Mishap("count", stated=18.0, actual=17.0)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.kept_sets import forget, interrupted, kept, recorded
+from sms_jobs.instruments.kept_sets import finished_sets, forget, interrupted, recorded
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, SoftwareTrigger
 from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
@@ -159,7 +159,7 @@ def test_a_camera_that_gives_no_image_is_given_up_and_asked_again(tmp_path: Path
     silent = tuple(OpticalFault("dropped-frame", frame=k) for k in (1, 2, 3))
     with pytest.raises(InstrumentError, match=r"C2 delivered no frame.*3 times"):
         record(rig_of(scene(), {"C2": silent}), tmp_path)
-    assert not kept(tmp_path)
+    assert not finished_sets(tmp_path)
     assert set(record(rig_of(scene()), tmp_path)) == {"C1", "C2"}
     assert not any(interrupted(tmp_path, view, SEQUENCE) for view in PAIR)  # nothing of it was complete
 
@@ -183,7 +183,7 @@ def test_images_of_two_moments_are_never_taken_for_one_state(
         with pytest.raises(Down):
             record(rig_of(scene()), tmp_path)
     assert replaced == ["C1.json"]  # and the machine went down before C2's
-    assert "C1" not in kept(tmp_path)
+    assert "C1" not in finished_sets(tmp_path)
     found = record(rig_of(scene()), tmp_path)
     assert all(one.recordings == 1 for one in found.values())
     for view in PAIR:
@@ -200,7 +200,7 @@ def test_what_was_complete_is_left_alone(tmp_path: Path) -> None:
 
     with pytest.raises(Cancelled):
         record(rig_of(seen), tmp_path, ("C1P1", *PAIR), Limits(lit_fraction=0.0), told=stop)
-    assert set(kept(tmp_path)) == {"C1P1"}
+    assert set(finished_sets(tmp_path)) == {"C1P1"}
     before = (tmp_path / "C1P1.001.frames").stat().st_mtime_ns
     record(rig_of(seen), tmp_path, ("C1P1", *PAIR), Limits(lit_fraction=0.0))
     assert (tmp_path / "C1P1.001.frames").stat().st_mtime_ns == before
@@ -214,7 +214,7 @@ def test_a_doubtful_image_has_its_partner_recorded_again(tmp_path: Path) -> None
     assert found["C1"].verdict.doubts == ("C1: 100% of the lit region is saturated, allowed is 2%",)
     assert found["C2"].verdict.doubts == ()
     forget(tmp_path, "C1")
-    assert not kept(tmp_path)
+    assert not finished_sets(tmp_path)
     assert record(rig_of(scene()), tmp_path)["C1"].verdict.doubts == ()
     assert [len(interrupted(tmp_path, view, SEQUENCE)) for view in PAIR] == [1, 1]
 
@@ -368,7 +368,7 @@ def test_a_camera_that_changes_its_size_loses_nothing_of_the_others(tmp_path: Pa
     room = rig.cameras["C1"].room  # type: ignore[attr-defined]
     with pytest.raises(DeviceFault, match="C2 delivers an image of 160 x 128 px, announced were 100 x 128"):
         record(replace(rig, cameras={**rig.cameras, "C2": Other("C2", room)}), tmp_path)
-    assert not kept(tmp_path)
+    assert not finished_sets(tmp_path)
     assert set(record(rig_of(scene()), tmp_path)) == {"C1", "C2"}
 
 
@@ -408,6 +408,6 @@ def test_a_rehearsal_takes_as_long_and_makes_as_much(tmp_path: Path) -> None:
         assert clock.monotonic() - begun == pytest.approx(said.recording_s)
     assert said.recording_s > 0.0
     assert (said.frames, said.raw_bytes, said.set_bytes) == (2, 2 * 2 * 160 * 128, 2 * 2 * 160 * 128)
-    spooled = sum(kept(tmp_path)[view].path.stat().st_size for view in PAIR)
+    spooled = sum(finished_sets(tmp_path)[view].path.stat().st_size for view in PAIR)
     # Each file has a header of 64 KiB, and each frame one of 24 bytes.
     assert spooled == said.raw_bytes + 2 * (65536 + 24)

@@ -12,7 +12,7 @@ import pytest
 from sms_jobs.errors import Cancelled, InstrumentError, InvalidInput, LinkLost, StorageFull
 from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
+from sms_jobs.instruments.kept_sets import finished_sets, interrupted, recorded
 from sms_jobs.instruments.protocols import CameraFacts
 from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S
@@ -63,7 +63,7 @@ def test_every_pair_gets_the_frames_that_it_would_see(
     room = room_of(rig)
     seen = SimulatedRig(room.setting.scene, "S00", (), rig.clock.now())
     for view in VIEWS:
-        assert view in kept(tmp_path / "s")
+        assert view in finished_sets(tmp_path / "s")
         measurement, recording = recorded(tmp_path / "s", view, SEQUENCE)
         expected = seen.record(view, SEQUENCE)
         np.testing.assert_array_equal(measurement.texture, expected.texture)
@@ -126,7 +126,7 @@ def test_an_unplugged_camera_loses_nothing_that_was_complete(
     rig = make_rig({"C2": (OpticalFault("unplugged", frame=frame),)})
     with pytest.raises(LinkLost, match="C2 does not answer; check its cable"):
         record(rig, tmp_path / "s")
-    assert [p for p in VIEWS if p in kept(tmp_path / "s")] == ["C1P1", "C2P1"]
+    assert [p for p in VIEWS if p in finished_sets(tmp_path / "s")] == ["C1P1", "C2P1"]
     before = {p: (tmp_path / "s" / f"{p}.001.frames").stat().st_mtime_ns for p in ("C1P1", "C2P1")}
     # Plugged in again: what there is stays as it is, the rest is recorded, what broke off is kept beside it.
     assert interrupted_after(tmp_path / "s", make_rig()) == [("C1P2", 9), ("C2P2", 9)]

@@ -176,7 +176,7 @@ def test_a_rig_that_somebody_uses_is_left_alone(home: Path) -> None:
             locks.release(session, holder="anna at the rig")
         told(home, "check", "virtual")
         with services.catalogue.reading() as session:
-            assert locks.held(session, datetime.now(UTC)) == []
+            assert locks.held_devices(session, datetime.now(UTC)) == []
 
 
 def test_a_stage_is_moved_without_cameras_and_displays(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from sms_jobs.formats.rig_configuration import parse_rig
 from sms_jobs.instruments.clock import RealClock
 from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
-from sms_jobs.instruments.kept_sets import interrupted, kept, recorded
+from sms_jobs.instruments.kept_sets import finished_sets, interrupted, recorded
 from sms_jobs.instruments.recorder import record_state
 from sms_jobs.instruments.scanners.keys import made_key, read_key
 from sms_jobs.instruments.scanners.link import Address, ScannerLink
@@ -172,7 +172,7 @@ def test_a_scanner_that_is_gone_loses_nothing_that_was_complete(served: Served, 
     served.start(2, f'faults = [{{ fault = "unplugged", frame = {FRAMES + 1 + 10} }}]')
     with pytest.raises(LinkLost, match="camera C2 does not answer; check its cable"):
         record(served.client(), tmp_path / "s")
-    assert [p for p in VIEWS if p in kept(tmp_path / "s")] == ["C1P1", "C2P1"]
+    assert [p for p in VIEWS if p in finished_sets(tmp_path / "s")] == ["C1P1", "C2P1"]
     gone = served.servers["2"]
     gone.stop()
     served.threads[1].join()
@@ -180,7 +180,7 @@ def test_a_scanner_that_is_gone_loses_nothing_that_was_complete(served: Served, 
         record(served.client(), tmp_path / "s")
     served.start(2, port=gone.address.port)
     record(served.client(), tmp_path / "s")
-    assert all(view in kept(tmp_path / "s") for view in VIEWS)
+    assert all(view in finished_sets(tmp_path / "s") for view in VIEWS)
     assert [len(interrupted(tmp_path / "s", view, SEQUENCE)) for view in VIEWS] == [0, 0, 1, 1]
 
 
@@ -198,7 +198,7 @@ def test_a_server_that_ends_meanwhile_is_named(served: Served, tmp_path: Path) -
         connected(served.client(), Setting(scene(), "S00", ())) as found,
     ):
         record_state(found, VIEWS, SEQUENCE, tmp_path / "s", Limits(), end)
-    assert [p for p in VIEWS if p in kept(tmp_path / "s")] == ["C1P1", "C2P1"]
+    assert [p for p in VIEWS if p in finished_sets(tmp_path / "s")] == ["C1P1", "C2P1"]
 
 
 def test_requests_that_make_no_sense_are_answered(served: Served) -> None:

@@ -104,7 +104,7 @@ def recorded(services: Services) -> list[str]:
 
 def rig_is_held_by(services: Services) -> list[str | None]:
     with services.catalogue.reading() as session:
-        return [lock.holder for lock in locks.held(session, datetime.now(UTC)) if lock.alive]
+        return [lock.holder for lock in locks.held_devices(session, datetime.now(UTC)) if lock.alive]
 
 
 def test_the_thread_carries_out_the_first_plan_and_ends_when_asked(services: Services) -> None:

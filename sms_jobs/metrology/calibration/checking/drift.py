@@ -71,7 +71,7 @@ class Change:
         See `CHANGES` and `UNITS`.
     value, sigma
         Estimate and its standard deviation, of the part that the gap tells.
-    seen
+    determined
         Whether the gap tells it; otherwise it is mixed up with others, or the gap is blind to it.
     """
 
@@ -79,7 +79,7 @@ class Change:
     unit: str
     value: float
     sigma: float
-    seen: bool
+    determined: bool
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from sms_jobs.metrology.calibration.starting.planar_intrinsics import (
 )
 from sms_jobs.metrology.calibration.starting.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
 from sms_jobs.metrology.geometry.camera import Pose, project
-from sms_jobs.metrology.geometry.lens import LENS, Intrinsics, Model, distort, kept, undistort
+from sms_jobs.metrology.geometry.lens import LENS, Intrinsics, Model, distort, fixed_by_default, undistort
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
 
 _FEWEST_POINTS = 6
@@ -283,7 +283,11 @@ class _Views:
     def bent(self, model: Model) -> RefinedSensor:
         """Return the best fisheye or rational lens; homographies say nothing of which points are right."""
         seen, square = self.seen, len(self.usable) < 3
-        richer = [n for n in LENS if n not in kept(model) and n not in self.held and n not in ("cx", "cy")]
+        richer = [
+            n
+            for n in LENS
+            if n not in fixed_by_default(model) and n not in self.held and n not in ("cx", "cy")
+        ]
         richer += [n for n in ("cx", "cy") if n in self.free]
         found = [self.plain()] if model == "rational" else []
         for guess, poses in _fisheyes(self.usable, self.size):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from sms_jobs.app.calibrating.calibrations import Worth, show, worth_of
+from sms_jobs.app.calibrating.calibrations import QualitySummary, quality_summary, show
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import Right
@@ -24,7 +24,7 @@ class Overview:
     path: str
     sensors: tuple[Sensor, ...]
     volume: Box
-    worth: Worth | None
+    quality: QualitySummary | None
     decisions: tuple[DecisionView, ...]
 
 
@@ -35,7 +35,7 @@ def overview(services: Services, number: int) -> Overview:
 
     known = show(services, number)
     made, quality = known.calibration, known.quality
-    worth = None if quality is None else worth_of(quality)
+    worth = None if quality is None else quality_summary(quality)
     return Overview(
         number,
         made.rig.name,
@@ -63,7 +63,7 @@ class Candidate:
         Names of its sensors.
     volume_diagonal_mm
         Of the volume that it is for.
-    worth
+    quality
         By which it is judged.
     """
 
@@ -72,7 +72,7 @@ class Candidate:
     file: FileView
     sensors: tuple[str, ...]
     volume_diagonal_mm: float
-    worth: Worth | None
+    quality: QualitySummary | None
 
 
 @use_case(Right.READ)
@@ -88,5 +88,5 @@ def candidate(services: Services, session: str) -> Candidate:
         file,
         tuple(sensor.name for sensor in made.rig.sensors),
         made.volume.diagonal_mm,
-        None if known.quality is None else worth_of(known.quality),
+        None if known.quality is None else quality_summary(known.quality),
     )

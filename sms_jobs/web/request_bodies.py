@@ -27,7 +27,7 @@ Jobs = Annotated[Texts, Field(description="Ids of jobs, or their beginnings.")]
 Campaign = Annotated[Text | None, Field(description="All jobs of a campaign, instead of named ones.")]
 
 
-class Asked(BaseModel):
+class RequestBody(BaseModel):
     """A body as it has to be: a name that is not known, or a value of another type, is refused."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
