@@ -44,7 +44,7 @@ def verdict(told: dict[str, Any]) -> tuple[bool, list[str]]:
     packages = told["dependencies"]
     known = [one for one in packages if "vulns" in one]
     lines = [
-        f"{one['name']} {one['version']}: {found['id']}, mended in {', '.join(found['fix_versions']) or '-'}"
+        f"{one['name']} {one['version']}: {found['id']}, fixed in {', '.join(found['fix_versions']) or '-'}"
         for one in known
         for found in one["vulns"]
     ]

@@ -1,4 +1,4 @@
-"""The exceptions of `sms_jobs`: what went wrong, whose it is to mend, and whether trying again can help.
+"""The exceptions of `sms_jobs`: what went wrong, who can fix it, and whether trying again can help.
 
 The exit code of the command line and the retry policy of the job service follow from the class alone.
 A message is one sentence that names the thing, the value, the limit with its unit, and the next step.

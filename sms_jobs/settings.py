@@ -64,7 +64,7 @@ class Settings(BaseModel):
     job_time_limit_s, job_memory_limit_mb
         What one job may take before it is stopped and fails; 0 for no limit.
     least_room_mb
-        No job is begun with less room than this (in MB of a million bytes) on the archive's disk.
+        No job is started with less room than this (in MB of a million bytes) on the archive's disk.
     openid_issuer, openid_client_id, openid_client_secret
         The identity provider by which people may log in to the console, what it calls this program, and the
         secret that it gave to it; empty for none.

@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 _EVERY_S = 1.0
 _WARN_EVERY_S = 60.0
 _WARNED_BELOW = 4.0
-"""Times the room with which no job is begun."""
+"""Times the room with which no job is started."""
 
 
 class ArchiveWatch(threading.Thread):

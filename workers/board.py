@@ -36,7 +36,7 @@ class Board:
         _LINE.pack_into(self._memory, _at(line), pid, 0)
 
     def beat(self, line: int) -> bool:
-        """Give a sign of life; False when the line is another's by now."""
+        """Give a sign of life; False when the line is another's now."""
         pid, beats = self.read(line)
         if pid != os.getpid():
             return False

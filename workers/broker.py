@@ -36,7 +36,7 @@ def _file_that_cannot_be_sent(settings: Settings) -> str | None:
         trial.write_bytes(b"can this be sent?")
     except OSError as error:
         return (
-            f"no message can be sent through {trial.parent} ({error.strerror}), so that no job is begun; "
+            f"no message can be sent through {trial.parent} ({error.strerror}), so that no job is started; "
             "make room there, and give the service's account permission to write"
         )
     finally:
@@ -61,8 +61,8 @@ def _message_that_cannot_be_sent(client: redis.Redis) -> str | None:
             else "look at its log, and at the room on its disk"
         )
         return (
-            f"Redis takes no messages ({str(error).splitlines()[0]}), so that no job is begun; {hint}: jobs "
-            "are not lost, and begin by themselves then"
+            f"Redis takes no messages ({str(error).splitlines()[0]}), so no job is started; {hint}: jobs "
+            "are not lost, and start by themselves then"
         )
     return None
 

@@ -1,4 +1,4 @@
-"""The process that serves the console beside a supervisor: begun again when it dies, ended with it."""
+"""The process that serves the console beside a supervisor: restarted when it dies, ended with it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 _LOOK_EVERY_S = 0.5
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
 _SOUND_S = 60.0
-"""A process that has lived for so long is begun again without delay."""
+"""A process that has lived for so long is restarted without delay."""
 _TO_END_S = 10.0
 
 
@@ -63,7 +63,7 @@ class WebProcess:
             if time.monotonic() - begun >= _SOUND_S:
                 pause = _SHORTEST_PAUSE_S
             logger.warning(
-                "the console ended with exit code %d and is begun again in %.0f s", process.returncode, pause
+                "the console ended with exit code %d and is restarted in %.0f s", process.returncode, pause
             )
             self._closed.wait(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)

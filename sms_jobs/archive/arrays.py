@@ -76,7 +76,7 @@ class StoredArray:
         return altered(self._where, f"the block at {place} has", "other values", "their check")
 
     def glance(self, part: Part) -> NDArray[Any]:
-        """Return a part of it as it stands there, compared with nothing: for a first look, not for a number.
+        """Return a part of it as it is there, compared with nothing: for a first look, not for a number.
 
         Raises `ArchiveCorrupt` where it cannot be read.
         """

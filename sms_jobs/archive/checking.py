@@ -40,7 +40,7 @@ def serve() -> None:
 
 
 class Checker:
-    """Checks one file after the other, in a process that is begun anew when a file has cost its life."""
+    """Checks one file after the other, in a process that is restarted when a file has cost its life."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None

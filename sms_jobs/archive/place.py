@@ -74,7 +74,7 @@ def require_usable(folder: Path, least_mb: float) -> None:
     Raises
     ------
     StorageFull
-        There is less room than a job needs to be begun.
+        There is less room than a job needs to be started.
     StorageUnusable
         It is mounted read-only, or does not answer.
     """

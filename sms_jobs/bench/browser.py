@@ -163,9 +163,9 @@ class Browser:
     def wait_for(self, condition: str, seconds: float = 20.0) -> None:
         """Wait until an expression is true, as it is looked at before each frame."""
         self.run(
-            "new Promise((done, failed) => { const begun = performance.now(); const look = () => { "
+            "new Promise((done, failed) => { const started = performance.now(); const look = () => { "
             f"if ({condition}) done(); "
-            f"else if (performance.now() - begun > {1000 * seconds}) failed('never: ' + "
+            f"else if (performance.now() - started > {1000 * seconds}) failed('never: ' + "
             f"{json.dumps(condition)}); else setTimeout(look, 20); }}; look(); }})"
         )
 

@@ -184,14 +184,14 @@ def define(row: CampaignRow, campaign: Campaign) -> None:
 class Definitions:
     """The campaigns that jobs were about lately, read and parsed once.
 
-    With hundreds of states that takes longer than all else that the service does for a job.
+    With hundreds of states that takes longer than everything else that the service does for a job.
     """
 
     def __init__(self) -> None:
         self._definitions: dict[str, Campaign] = {}
 
     def get(self, session: Session, campaign_id: int, known_by: str) -> Campaign:
-        """Return the definition of a campaign that has that hash; where it has another one by now, that."""
+        """Return the definition of a campaign that has that hash; where it has another one now, that."""
         if known_by in self._definitions:
             return self._definitions[known_by]
         row = session.get_one(CampaignRow, campaign_id)

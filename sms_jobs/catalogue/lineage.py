@@ -55,7 +55,7 @@ def note_recordings(session: Session, file: FileRow) -> None:
     """Enter when the inputs of a result were recorded, the last of them counts, and what was read meanwhile.
 
     Of a result about a state those recordings count that are of this state, and readings are their mean. What
-    tells of several states has no readings of its own. To be called when the file's provenance is complete
+    describes several states has no readings of its own. To be called when the file's provenance is complete
     and that of its inputs is too.
     """
     session.flush()

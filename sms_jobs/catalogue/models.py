@@ -141,7 +141,7 @@ class FileRow(Table):
     media_type: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(index=True)
     recorded_at: Mapped[datetime | None] = mapped_column(index=True)
-    """When the last of the recordings that it shows was begun; see `catalogue.lineage`."""
+    """When the last of the recordings that it shows was started; see `catalogue.lineage`."""
     campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))
     state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"), index=True)
     view: Mapped[str | None] = mapped_column(String(16))

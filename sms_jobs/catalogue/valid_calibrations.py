@@ -101,7 +101,7 @@ def used_for_campaign(session: Session, campaign_id: int) -> tuple[UsedCalibrati
 
 def used_for_campaigns(session: Session, numbers: Sequence[int]) -> dict[int, tuple[UsedCalibration, ...]]:
     """Return the calibrations that are used for each of some campaigns, few enough for one statement."""
-    # Every job asks this: not the whole definition, which takes longer to read than all else.
+    # Every job asks this: not the whole definition, which takes longer to read than everything else.
     rows = session.execute(
         select(CampaignRow.id, CampaignRow.name, CampaignRow.rig_id).where(CampaignRow.id.in_(numbers))
     ).all()
@@ -219,7 +219,7 @@ def _measured(session: Session, campaign_id: int, state: str | None) -> dict[tup
 
 
 def state_times(session: Session, campaign_id: int, state: str | None = None) -> dict[str, datetime]:
-    """Return when the states of a campaign were held, by label, where that is planned or known by now."""
+    """Return when the states of a campaign were held, by label, where that is planned or already known."""
     query = select(LoadStateRow.label, LoadStateRow.time).where(
         LoadStateRow.campaign_id == campaign_id, LoadStateRow.time.is_not(None)
     )

@@ -47,7 +47,7 @@ def read_stl(content: bytes) -> Mesh:
 
 
 def read_obj(content: bytes) -> Mesh:
-    """Read the vertices and faces of an OBJ file; all else in it is left out."""
+    """Read the vertices and faces of an OBJ file; everything else in it is left out."""
     vertices: list[tuple[float, float, float]] = []
     faces: list[list[int]] = []
     for number, line in enumerate(content.splitlines(), 1):

@@ -179,7 +179,7 @@ def check_artefact(name: str, artefact: Artefact) -> None:
 
 
 def _check_circles(name: str, board: CircleBoard) -> None:
-    """Refuse a board whose dots overlap or whose markers tell no axes or cannot be told from dots."""
+    """Refuse a board with overlapping dots, or markers that define no axes or look like dots."""
     if board.markers is not None:
         _check_markers(name, board, board.markers)
     largest = max(board.marker_diameter_mm, board.dot_diameter_mm)
@@ -191,7 +191,7 @@ def _check_circles(name: str, board: CircleBoard) -> None:
 
 
 def _check_markers(name: str, board: CircleBoard, markers: tuple[Place, Place, Place]) -> None:
-    """Refuse markers that tell no axes or cannot be told from dots."""
+    """Refuse markers that define no axes or look like dots."""
     for column, row in markers:
         if not (0 <= column < board.columns and 0 <= row < board.rows):
             raise InvalidInput(

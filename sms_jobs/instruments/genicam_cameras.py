@@ -1,7 +1,7 @@
 """Cameras that speak GenICam, whoever carries the words: features by their standard names, frames by number.
 
-A driver offers the features of a camera and a stream of what it delivers; all else is the same for every
-make and is here: setting up, triggering, exposing, counting, unpacking.
+A driver offers the features of a camera and a stream of what it delivers; the rest is the same for every make
+and is here: setting up, triggering, exposing, counting, unpacking.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class GenicamSettings(RealCamera):
         "software", the name of the line that a trigger controller is wired to, such as "Line1", or
         "acquisition" for a camera that cannot be triggered: then every frame is the first of an acquisition.
     features
-        What else is set when it is connected, by standard names and before all else.
+        What else is set when it is connected, by standard names and before everything else.
     """
 
     device: str

@@ -88,7 +88,7 @@ class EventDetector:
         self._come = False
 
     def held(self, time_s: float, value: float) -> bool:
-        """Take a reading, at a time that goes on, and return whether the event has come by now."""
+        """Take a reading, at a time that goes on, and return whether the event has come."""
         self._come = self._come or self._comes(time_s, value)
         return self._come
 

@@ -1,7 +1,7 @@
 """What a stream of frames leaves in a spool, whether or not it came to its end, and how that is read.
 
 Beside the frames of each camera lie two logs of lines: when the cameras were exposed together and which
-frame of each came of it, and what the channels read. A line is written before the frame that it tells of.
+frame of each came of it, and what the channels read. A line is written before the frame that it describes.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class Fired:
 
 
 def apart_s(fired: Iterable[Fired]) -> float:
-    """Return how far apart cameras may have begun to expose, at most; 0 where one signal exposed them all."""
+    """Return how far apart, at most, cameras may have started to expose; 0 if one signal exposed them all."""
     known = set(fired)
     if len(known) < 2:
         return 0.0

@@ -111,7 +111,7 @@ class Connection:
 def checked_url(url: str) -> str:
     """Return the address of a server, without a slash at its end.
 
-    Raises `InvalidInput` for what is none, and for one to which a token would go in clear text.
+    Raises `InvalidInput` for anything else, and for one to which a token would go in clear text.
     """
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:

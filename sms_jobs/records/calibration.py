@@ -1,4 +1,4 @@
-"""What a calibration is worth, and whether it is used."""
+"""How accurate a calibration is, and whether it is used."""
 
 from __future__ import annotations
 

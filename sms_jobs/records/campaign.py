@@ -102,7 +102,7 @@ class Specimen:
 class CalibrationSession:
     """What makes a campaign a calibration session: its states are poses of artefacts.
 
-    From nothing, the board of the first state that shows one, as it stands there, is the world's frame. A
+    From nothing, the board of the first state that shows one, as it is there, is the world's frame. A
     session on site starts from the last calibration of the rig and stays in its frame.
 
     Attributes

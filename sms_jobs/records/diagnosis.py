@@ -1,4 +1,4 @@
-"""What a measurement tells of the instruments that made it."""
+"""What a measurement says about the instruments that made it."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class View:
 
 
 def view_of(text: str | None) -> View:
-    """Read a view; raise `InvalidInput` for what is none."""
+    """Read a view; raise `InvalidInput` for anything else."""
     found = [] if text is None or not _VIEW.fullmatch(text) else [*_SENSOR.finditer(text)]
     names, roles = [one[0] for one in found], [_ROLES[one[1]] for one in found]
     cameras = [Role.CAMERA] * min(len(roles), MOST_CAMERAS)

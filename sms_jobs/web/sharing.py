@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 FRESH_S = 1.0
-"""What was found is given to others for so long; a page that is told of an event asks again anyway."""
+"""What was found is given to others for so long; a page that is notified of an event asks again anyway."""
 _MOST = 64
 
 

@@ -59,7 +59,7 @@ def test_jobs_are_moved_before_and_behind_all_others(catalogue: Catalogue) -> No
     assert held.job_id in first
     with catalogue.writing() as session:
         assert queues.move(session, by_ids(first), "back") == len(first) - 1
-        with pytest.raises(Conflict, match="begun or ended"):
+        with pytest.raises(Conflict, match="already started or ended"):
             queues.move(session, by_ids([held.job_id]), "front")
     held = claim(catalogue)
     assert held is not None

@@ -30,7 +30,7 @@ UNKNOWN = {"name": "vtk", "skip_reason": "Dependency not found on PyPI"}
             "nothing is known against 1 packages; of 1 others the registry knows nothing",
         ),
         ([UNKNOWN], True, "audit skipped: the registry knows nothing of any of 1 packages"),
-        ([KNOWN, BAD, UNKNOWN], False, "celery 1.0: PYSEC-1, mended in 1.1, 2.0"),
+        ([KNOWN, BAD, UNKNOWN], False, "celery 1.0: PYSEC-1, fixed in 1.1, 2.0"),
     ],
 )
 def test_what_is_known_decides(packages: list[dict[str, Any]], good: bool, words: str) -> None:

@@ -55,7 +55,7 @@ _ENDED = "this token or session is unknown, has ended or was revoked; log in aga
 
 @dataclass(frozen=True)
 class LoggedIn:
-    """A session that was begun; `secret` is shown this once, and lets its holder in as the person."""
+    """A session that was started; `secret` is shown this once, and lets its holder in as the person."""
 
     secret: str
     name: str

@@ -1,4 +1,4 @@
-"""What a calibration is worth in numbers, that of a session too."""
+"""How accurate a calibration is, in numbers; also that of a session."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sms_jobs.records.shown.files import DecisionView, FileView
 
 @dataclass(frozen=True)
 class Overview:
-    """A calibration, what it is worth (None for one that was brought in), and what was decided about it."""
+    """A calibration, how accurate it is (None for one that was imported), and what was decided about it."""
 
     calibration: int
     rig: str

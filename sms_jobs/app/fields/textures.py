@@ -1,4 +1,4 @@
-"""What a texture is worth, and textures to print; regions of interest from masks."""
+"""How good a texture is, and textures to print; regions of interest from masks."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Advice:
-    """What a texture is worth.
+    """How good a texture is.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def is_image_file(name: str) -> bool:
 
 
 def image_file(path: Path) -> Image:
-    """Read an image; raises `InvalidInput` for what is none."""
+    """Read an image; raises `InvalidInput` for anything else."""
     from sms_jobs.formats.importers.image_files import read_image
 
     levels, _ = read_image(path)

@@ -136,7 +136,7 @@ class Repaired:
 
 @use_case(Right.ADMINISTER)
 def repair(services: Services, *, dry_run: bool = True, quick: bool = False, tell: Tell = nobody) -> Repaired:
-    """Verify the archive and mend what can be mended; nothing is ever deleted.
+    """Verify the archive and repair what can be repaired; nothing is ever deleted.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ def _names(text: str) -> list[str]:
 
 
 def _with_columns(page: Page, columns: Sequence[str]) -> Page:
-    """Return a page that tells of each file what was asked for, in that order."""
+    """Return a page that shows of each file what was asked for, in that order."""
     found = (
         Found(one.file, {n: OF_FILE[n](one.file) if n in OF_FILE else one.values[n] for n in columns})
         for one in page.rows

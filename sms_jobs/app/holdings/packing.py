@@ -51,7 +51,7 @@ def pack(
     Parameters
     ----------
     to
-        Folder, empty or new, or one that an interrupted run has begun.
+        Folder, empty or new, or one that an interrupted run has started.
     kinds
         Only results of these, and what they were computed from; empty for all.
     inputs

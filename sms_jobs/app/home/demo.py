@@ -128,7 +128,7 @@ def _succeed(services: Services, ids: Sequence[str], tell: Callable[[Waiting], N
 
 
 def _calibration(session: Campaign, known: KnownCalibration) -> dict[str, Any]:
-    """Return what the measured calibration is worth, and what it costs against the exact one."""
+    """Return how accurate the measured calibration is, and what it costs against the exact one."""
     from sms_jobs.jobs.archiving import calibrations
 
     assert session.scene is not None

@@ -57,7 +57,7 @@ def diagnosed(home: Path | None) -> Iterator[dict[str, Examined]]:
 
 
 def _all_found(home: Path | None, until_reported: ExitStack) -> dict[str, Examined]:
-    """Examine what can be examined: without a catalogue all else, and without settings nothing."""
+    """Examine what can be examined: without a catalogue everything else, and without settings nothing."""
     try:
         settings = settings_file.load(home)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding

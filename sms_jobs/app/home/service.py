@@ -90,7 +90,7 @@ def status(services: Services) -> Status:
 
 
 def _ahead(session: Session, workers: int) -> tuple[Outlook, dict[str, datetime]]:
-    # To estimate takes more than all else here, and there are jobs only while somebody works.
+    # To estimate takes more than everything else here, and there are jobs only while somebody works.
     from sms_jobs.jobs.planning.estimates import ends, outlook
 
     return outlook(session, of_campaign(session, None), workers), ends(
@@ -124,7 +124,7 @@ def supervisor(services: Services, queues: Sequence[str] | None = None) -> Super
 @use_case(Right.ADMINISTER)
 @contextmanager
 def served(services: Services, listen: str) -> Iterator[None]:
-    """Serve the console in a process of its own meanwhile, which is begun again when it dies."""
+    """Serve the console in a process of its own meanwhile, which is restarted when it dies."""
     from sms_jobs.workers.web_process import WebProcess
 
     process = WebProcess(services.settings.home, listen)

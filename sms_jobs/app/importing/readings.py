@@ -72,14 +72,14 @@ class Task:
 
 @dataclass(frozen=True)
 class Arranged:
-    """What a table tells of the states of a campaign, before anything is changed.
+    """What a table says about the states of a campaign, before anything is changed.
 
     Attributes
     ----------
     source, remarks
         Name of the file, and what there is to say of how it was read.
     columns, readings
-        What its columns become, and what it tells of each state.
+        What its columns become, and what it says about each state.
     left_out, changes
         What was left out of it, and what it changes, in words.
     before, after

@@ -124,7 +124,7 @@ def plan(
 
 def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
     """Raise `InvalidInput` without a view to look at, and `NotFound` for a gauge that is not described."""
-    # Which loads the kinds, as the states have by now.
+    # Which loads the kinds, as the states have so far.
     from sms_jobs.formats.gauge_descriptions import described_gauge
     from sms_jobs.kinds.deformation.quick_look import declared_gauges
 
@@ -164,7 +164,7 @@ def _wanted(
 
 
 def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
-    # Which loads the instruments, as the states have by now.
+    # Which loads the instruments, as the states have so far.
     from sms_jobs.jobs.recording.recordings import state_value
 
     # The test plan says it in the unit of the channel's name.
@@ -193,7 +193,7 @@ def hold(services: Services, campaign: str, states: Sequence[str] = ()) -> list[
     NotFound
         There is no such campaign, or nothing is planned of such a state.
     Conflict
-        One has begun already.
+        One has already started.
     """
     with services.catalogue.writing() as session:
         return planned_recordings.set_held(session, campaign, states, True)
@@ -230,7 +230,7 @@ def move(services: Services, campaign: str, state: str, before: str | None = Non
     NotFound
         There is no such campaign, or nothing is planned of such a state.
     Conflict
-        One of them has begun already, or is skipped.
+        One of them has already started, or is skipped.
     """
     with services.catalogue.writing() as session:
         planned_recordings.move(session, campaign, state, before)

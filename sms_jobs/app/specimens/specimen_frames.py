@@ -36,7 +36,7 @@ class FrameOf:
     of_scene
         Whether, where nobody has, the scene of the virtual rig says where it lies.
     stale
-        How many results lie along other axes by now, by kind.
+        How many results lie along other axes now, by kind.
     """
 
     campaign: str

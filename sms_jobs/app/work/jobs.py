@@ -1,4 +1,4 @@
-"""Jobs: submitted, looked at and mended."""
+"""Jobs: submitted, looked at and repaired."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class Submitted:
         estimate: Estimate,
         refused: tuple[Refusal, ...],
     ) -> Submitted:
-        """Return jobs that a server tells of: they are known by their ids."""
+        """Return jobs that a server reports: they are known by their ids."""
         return cls(tuple(job_ids), counted, estimate, Chosen(tuple(job_ids)), refused)
 
 

@@ -58,7 +58,7 @@ def resume(services: Services, names: Sequence[str]) -> list[str]:
 def move(
     services: Services, prefixes: Sequence[str], campaign: str | None, to: Literal["front", "back"]
 ) -> int:
-    """Bring the named jobs, or those of a campaign, that have not begun before or behind all others.
+    """Bring the named jobs, or those of a campaign, that have not started before or behind all others.
 
     Returns how many. Raises as `jobs.choose` does, and `InvalidInput` where neither is named.
     """
@@ -69,14 +69,14 @@ def move(
 
 @use_case(Right.COMPUTE)
 def set_priority(services: Services, prefixes: Sequence[str], campaign: str | None, priority: int) -> int:
-    """Give the named jobs, or those of a campaign, that have not begun another priority; return how many.
+    """Give the named jobs, or those of a campaign, that have not started another priority; return how many.
 
     Raises
     ------
     InvalidInput
         Neither is named, or the priority is beyond what is kept.
     Conflict
-        They have all begun or ended.
+        They have all started or ended.
     """
     if abs(priority) > held.HIGHEST_PRIORITY:
         raise InvalidInput(
@@ -86,7 +86,7 @@ def set_priority(services: Services, prefixes: Sequence[str], campaign: str | No
     with services.catalogue.writing() as session:
         count = held.set_priority(session, some, priority)
     if not count:
-        raise Conflict("these jobs have begun or ended already; nothing was changed")
+        raise Conflict("these jobs have already started or ended; nothing was changed")
     return count
 
 

@@ -1,4 +1,4 @@
-"""Calibration: the bundle adjustment's speed, held-out lengths, and whether it says what it is worth."""
+"""Calibration: the bundle adjustment's speed, held-out lengths, and whether it says how accurate it is."""
 
 from __future__ import annotations
 

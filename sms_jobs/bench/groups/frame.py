@@ -56,7 +56,7 @@ def picked(shelf: Shelf, random: np.random.Generator) -> Choice:
 
 
 def found_by(shelf: Shelf, subject: Subject, choice: Choice) -> SpecimenFrame:
-    """Return the frame that somebody's choice gives on the measured surface."""
+    """Return the frame that a person's choice gives on the measured surface."""
     at_rest = replace(subject, state=shelf.campaign.reference.label)
     return Finder(shelf.records["reconstruct", at_rest]["surface"], None, None, choice).frame("")
 

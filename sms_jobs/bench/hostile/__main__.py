@@ -20,7 +20,7 @@ def _main(folder: Path, deployment: str, seed: int, batches: range) -> int:
             del os.environ[name]
     os.environ["COLUMNS"] = "200"
     first = folder / "first"
-    # In a process of its own: this one is to be forked, and must not have begun any thread.
+    # In a process of its own: this one is to be forked, and must not have started any thread.
     child = os.fork()
     if child == 0:
         store.make_first(first)

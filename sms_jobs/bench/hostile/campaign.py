@@ -1,4 +1,4 @@
-"""Tries in a process of their own, whatever the one that asks for them has loaded or begun."""
+"""Tries in a process of their own, whatever the one that asks for them has loaded or started."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def _called(main: Any, one: Try) -> tuple[int | None, str]:
     except TooLongError:
         code = None
     except KeyboardInterrupt:
-        # It came before the command had begun to listen for it, or after it had ended.
+        # It came before the command had started to listen for it, or after it had ended.
         code = 130 if one.endless else 1
     except BaseException as error:  # noqa: BLE001 - nothing but an exit may leave the command
         print(f"Traceback: {type(error).__name__}: {error!r}", file=err)

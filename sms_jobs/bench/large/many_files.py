@@ -317,7 +317,7 @@ def _facts(files: _Filling) -> None:
                 },
                 _is_kind(kind),
             )
-    # The shape of a state is computed with a calibration; all else from what comes before it.
+    # The shape of a state is computed with a calibration; everything else from what comes before it.
     files.rows(
         ProvenanceRow,
         lambda n: {"output_id": n + _CALIBRATIONS, "role": "input", "input_id": n + _CALIBRATIONS - 1},

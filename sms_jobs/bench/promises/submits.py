@@ -45,7 +45,7 @@ def measure(run: Run) -> Iterator[Found]:
     yield Condition(
         "submits",
         f"{count} processes of 'sms job submit simulate' on one SQLite catalogue, forked from one that has "
-        f"loaded the program and begun at the same moment: {len(done)} ended with exit code 0, {jobs} jobs "
+        f"loaded the program and started at the same moment: {len(done)} ended with exit code 0, {jobs} jobs "
         "are there, two of each; the lock from BEGIN IMMEDIATE to the end of the commit, its waiting before",
     )
 

@@ -45,7 +45,7 @@ _VIEW = "C1P1"
 _PATIENCE_S = 120.0
 """For the service to come up, and for something to happen to the plan."""
 _AFTER_A_BEGINNING = 0.75
-"""How often a kill waits until another recording has begun, so that most of them meet one."""
+"""How often a kill waits until another recording has started, so that most of them meet one."""
 _WITHIN_S = 3.0
 _ANY_TIME_S = 20.0
 _RIG = """
@@ -180,7 +180,7 @@ class KilledPlan:
                 )
 
     def _next_kill(self) -> float | None:
-        """Return when to kill next; None where that is once another recording has begun."""
+        """Return when to kill next; None where that is once another recording has started."""
         if self._rng.random() < _AFTER_A_BEGINNING:
             return None
         return time.monotonic() + self._rng.uniform(0.0, _ANY_TIME_S)

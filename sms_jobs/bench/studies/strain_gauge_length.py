@@ -1,4 +1,4 @@
-"""What strain is worth on a flat panel in tension, over gauge length and subset."""
+"""How accurate strain is on a flat panel in tension, over gauge length and subset."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def _read(name: str, entered: ColumnElement[Any]) -> ColumnElement[Any]:
 
 
 def _time() -> ColumnElement[Any]:
-    """Return when the last of the recordings was begun, else when the state was held."""
+    """Return when the last of the recordings was started, else when the state was held."""
     last = select(func.max(MeasurementRow.recorded_at)).where(MeasurementRow.file_id.in_(_recordings()))
     return func.coalesce(last.correlate(LoadStateRow).scalar_subquery(), LoadStateRow.time)
 

@@ -31,7 +31,7 @@ class PlannedRecordingRow(Table):
     planned_at: Mapped[datetime]
     planned_by: Mapped[str] = mapped_column(String(80))
     due_at: Mapped[datetime | None]
-    """When it was due, once it has begun."""
+    """When it was due, once it has started."""
     job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), unique=True)
     seen: Mapped[float | None]
     """What its channel read at `seen_at`, where it waits for one."""
@@ -43,6 +43,6 @@ class PlannedRecordingRow(Table):
     stop_if: Mapped[list[dict[str, Any]]] = mapped_column(JSON, server_default="[]")
     """Limits beyond which that holds the plan, see `records.gauge_limits`."""
     awaited: Mapped[bool] = mapped_column(server_default=false())
-    """Whether nothing behind it begins before its quick look was held against the limits."""
+    """Whether nothing behind it begins before its quick look was checked against the limits."""
     stopped_by: Mapped[str | None] = mapped_column(MessageText)
     """Which limit has held the plan after it, until somebody lets it go on."""

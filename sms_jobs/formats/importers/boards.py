@@ -35,7 +35,7 @@ class _BoardFile(RootModel[Annotated[_Board, flat(CircleBoard, Chessboard, tag="
 
 
 def load_board(path: Path) -> Artefact:
-    """Read the description of a board, as it stands under [session.artefacts] of a session.
+    """Read the description of a board, as it is under [session.artefacts] of a session.
 
     Raises `ConfigurationError` for what describes none, `NotFound` where there is no such file.
     """
@@ -55,7 +55,7 @@ def chessboard(
     pitch_relative_sigma: float | None = None,
     flatness_mm: float | None = None,
 ) -> Chessboard:
-    """Return the chessboard that `9x6` inner corners make; raise `InvalidInput` for what is none.
+    """Return the chessboard that `9x6` inner corners make; raise `InvalidInput` for anything else.
 
     How well the pitch is known and how flat the board is may be unknown, see `Chessboard`.
     """

@@ -152,7 +152,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Readings:
-    """What a table tells of the states, and what was not used, in words."""
+    """What a table says about the states, and what was not used, in words."""
 
     readings: tuple[Reading, ...]
     left_out: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The page about a calibration: what it is worth, and what a person should look at before it is used."""
+"""The page about a calibration: how accurate it is, and what a person should look at before it is used."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ _MICROMETRES = 1e3
 
 
 def calibration_summary(calibration: Calibration, quality: CalibrationQuality | None) -> list[Markup]:
-    """Say which calibration it is, what it is worth, and what speaks against it."""
+    """Say which calibration it is, how accurate it is, and what speaks against it."""
     box = calibration.volume
     span = " x ".join(f"{high - low:.0f}" for low, high in zip(box.low, box.high, strict=True))
     entries = [

@@ -16,7 +16,7 @@ NOTHING = "–"
 
 @dataclass(frozen=True)
 class Markup:
-    """HTML that is safe as it stands; the functions below make it of plain text."""
+    """HTML that is safe as it is; the functions below make it of plain text."""
 
     html: str
 

@@ -1,4 +1,4 @@
-"""Fields as text inside a page: sampled, rounded to what they are worth, compressed.
+"""Fields as text inside a page: sampled, rounded to their accuracy, compressed.
 
 Values become whole numbers of a step, from 1 to 65534; 0 stands for none. The step is the finest that the
 range allows, or a twelfth of the median standard deviation where that is coarser: rounding then adds less

@@ -59,7 +59,7 @@ class Device(Protocol):
 
 
 class Status:
-    """Something that was begun and takes time: how far it is, and whether it succeeded.
+    """Something that was started and takes time: how far it is, and whether it succeeded.
 
     Nothing goes on by itself: `update` takes the next step, and `wait` takes all, with pauses. So there are
     no threads, and on a simulated clock nobody waits.

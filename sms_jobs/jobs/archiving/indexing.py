@@ -60,7 +60,7 @@ class ResolvedInput:
 def resolve_inputs(session: Session, job_id: str, now: datetime) -> tuple[ResolvedInput, ...]:
     """Find the files of a job's inputs, now that their producers are done, and note them in its row.
 
-    What is measured by now says which calibration holds for it, whatever held when the job was planned.
+    The recordings decide which calibration applies, whichever applied when the job was planned.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def progress_of(session: Session, name: str) -> list[StateProgress]:
     """Return how each state of a campaign comes along, in order."""
     number = campaign_id(session, name)
     files, jobs = _newest_files(session, number), _jobs(session, number)
-    # Not of the definition, which takes as long to read as all else.
+    # Not of the definition, which takes as long to read as everything else.
     states = session.execute(
         select(LoadStateRow.label, LoadStateRow.planned_load_n)
         .where(LoadStateRow.campaign_id == number)

@@ -112,7 +112,7 @@ def enter(
             with session.begin_nested():
                 session.add(RunRow(name=name, created_at=now, created_by=by))
         except IntegrityError:
-            pass  # somebody else has begun it meanwhile
+            pass  # somebody else has started it meanwhile
     # Locked, so that it is not kept or dropped before this is committed.
     run = _required(session, name, lock=True)
     require_open(session, name)

@@ -75,7 +75,7 @@ def acquire(session: Session, names: Collection[str], job_id: str, fence: int, n
         JobRow.id == job_id, JobRow.fence == fence, JobRow.state == JobState.RUNNING
     )
     if names and session.scalar(current) is None:
-        raise LeaseLost("a newer attempt has begun")
+        raise LeaseLost("a newer attempt has started")
     _take(session, names, now, job_id=job_id, fence=fence, holder=None, lease_until=None)
 
 

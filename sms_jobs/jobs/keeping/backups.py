@@ -2,7 +2,7 @@
 
 A backup is a folder with `archive`, which every backup into it adds to, `snapshots`, one catalogue each, and
 `hosts`, the files of rigs and the frames on their way to the archive of each host that backs up. First those
-are copied, then the catalogue as it stands at one moment, then the files that this copy knows. They are
+are copied, then the catalogue as it is at one moment, then the files that this copy knows. They are
 sealed: complete before the catalogue knew them, and never changed afterwards. So they are what they were at
 that moment, however long copying takes and whatever jobs seal meanwhile; and frames that a job archives
 meanwhile are in the copy of the folder, or the catalogue knows their file.

@@ -147,7 +147,7 @@ def _of_file(
 def check_unknown(catalogue: Catalogue, archive: Archive) -> Iterator[Finding]:
     """Find the files on the disk that the catalogue does not know, and those that are none of the archive."""
     with catalogue.reading() as session:
-        # One that has never begun has left nothing.
+        # One that has never started has left nothing.
         begun = select(JobRow.id).where(JobRow.state.in_(ACTIVE), JobRow.attempts > 0)
         active = set(session.scalars(begun))
     # Listed before they are looked up: what is sealed in between is known by then, or its job is active.

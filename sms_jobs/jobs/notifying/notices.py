@@ -128,7 +128,7 @@ def _tell(
     campaign: str = "",
     since: datetime | None = None,
 ) -> None:
-    """Enter a notification for each subscriber of a topic, since then or by now, who was not told that."""
+    """Enter a notification for each subscriber of a topic, since then or already, who was not told that."""
     for subscriber in _subscribers(session, topic, since or now):
         try:
             with session.begin_nested():

@@ -86,7 +86,7 @@ def body_of(settings: Settings, notification: Notification) -> bytes:
 
 
 def signature(secret: str, timestamp: str, body: bytes) -> str:
-    """Return the HMAC-SHA256 of a time and what was sent then, as it stands in the header."""
+    """Return the HMAC-SHA256 of a time and what was sent then, as it is in the header."""
     signed = timestamp.encode() + b"." + body
     return f"sha256={hmac.new(secret.encode(), signed, hashlib.sha256).hexdigest()}"
 

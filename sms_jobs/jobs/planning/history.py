@@ -127,7 +127,7 @@ class History:
         return self._campaigns[campaign_id].size(Subject.parse(subject))
 
     def _learn(self, campaigns: Collection[int]) -> None:
-        # Of all at once: one by one they would take longer than all else of an estimate.
+        # Of all at once: one by one they would take longer than everything else of an estimate.
         for some in parts(sorted(set(campaigns) - self._campaigns.keys())):
             self._campaigns |= _images(self._session, some)
 

@@ -23,7 +23,7 @@ _PAUSE_S = 0.1
 def planning_turn(folder: Path) -> Iterator[None]:
     """Wait for a turn, and have it until the end; files in `folder` tell who has one.
 
-    It is a courtesy: where the files cannot be written, or nobody comes to an end, one goes on without.
+    It is a courtesy: where the files cannot be written, or nobody comes to an end, work goes on without it.
     """
     held = _taken(folder)
     try:

@@ -1,1 +1,1 @@
-"""Recordings with instruments: planned, begun, looked at, and picked up again."""
+"""Recordings with instruments: planned, started, looked at, and picked up again."""

@@ -1,8 +1,8 @@
 """Planned recordings begin: each once, whoever looks and whenever a supervisor ends.
 
-Whether one has begun is one column, which one statement changes in the transaction that enters its jobs: what
-breaks off before that has done nothing, and whoever comes later finds it begun. The ids of the jobs follow
-from the row, so that they could not be entered twice either.
+Whether one has started is one column, which one statement changes in the transaction that enters its jobs: a
+start that breaks off before that has done nothing, and a later one finds it started. The ids of the jobs
+follow from the row, so that they could not be entered twice either.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _FIRST = 100
 
 @dataclass(frozen=True)
 class Due:
-    """A recording that comes next and has not begun.
+    """A recording that comes next and has not started.
 
     Attributes
     ----------
@@ -126,9 +126,9 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
 
 
 def due(session: Session) -> list[Due]:
-    """Return of each campaign the recording that comes next, where it has not begun and may begin.
+    """Return of each campaign the recording that comes next, where it has not started and may begin.
 
-    What keeps it is somebody, or a quick look that was not held against its limits yet.
+    What keeps it is somebody, or a quick look that was not checked against its limits yet.
     """
     awaited = select(PlannedRecordingRow.campaign_id).where(planned_recordings.AWAITED)
     looked_at = set(session.scalars(awaited))
@@ -196,7 +196,7 @@ def _is_recorded(session: Session, one: Planned) -> bool:
 
 
 def _others(session: Session, campaign: str, label: str) -> str | None:
-    """Return the job that records a state and that no plan has begun; None where there is none."""
+    """Return the job that records a state and that no plan has started; None where there is none."""
     return session.scalar(
         select(JobRow.id).where(
             JobRow.kind == KIND.name,
@@ -246,7 +246,7 @@ def begin(
 ) -> str | None:
     """Enter the recording of a state, and return the id of its job; None where that is not to be any more.
 
-    It is not where somebody else has begun it, held it back or changed it since `due`.
+    It is not where somebody else has started it, held it back or changed it since `due`.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ _OPEN = (Status.PLANNED.value, Status.BEGUN.value)
 OPEN = PlannedRecordingRow.status.in_(_OPEN)
 """Of a row that was neither skipped nor noted as recorded."""
 AWAITED = and_(PlannedRecordingRow.status == Status.RECORDED.value, PlannedRecordingRow.awaited.is_(True))
-"""Of a row whose quick look was not held against its limits yet."""
+"""Of a row whose quick look was not checked against its limits yet."""
 _RECORDED = Status.RECORDED.value
 _RUNS = (JobState.QUEUED, JobState.WAITING, JobState.RUNNING, JobState.LOST)
 
@@ -236,7 +236,7 @@ def move(session: Session, campaign: str, label: str, before: str | None) -> Non
     Raises
     ------
     Conflict
-        One of them has begun already, or is skipped.
+        One of them has already started, or is skipped.
     InvalidInput
         Both are the same.
     NotFound
@@ -340,7 +340,7 @@ def _waits_for(
         return f"it is held back{why}; 'sms acquire plan go {one.campaign}' lets it go on"
     looked = next((each.label for each in rows if each.row.awaited and each.row.status == _RECORDED), None)
     if looked is not None:
-        return f"waits for the quick look at {looked}; 'sms acquire plan show {one.campaign}' tells of it"
+        return f"waits for the quick look at {looked}; 'sms acquire plan show {one.campaign}' describes it"
     words = f"waits for its time: {trigger}"
     if isinstance(trigger, Every):
         due = trigger.next_time(before)

@@ -51,7 +51,7 @@ def note_reading(session: Session, row_id: int, seen: float | None, now: datetim
 
 
 def note(session: Session, row_id: int, words: str) -> None:
-    """Note what keeps a planned recording from being watched, or from beginning, while it has not begun."""
+    """Note what keeps a planned recording from being watched, or from beginning, while it has not started."""
     session.execute(
         update(PlannedRecordingRow)
         .where(PlannedRecordingRow.id == row_id, PlannedRecordingRow.status == Status.PLANNED.value)

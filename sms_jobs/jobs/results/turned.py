@@ -1,4 +1,4 @@
-"""Results that lie along other axes than the specimen's frame of their campaign has by now."""
+"""Results that lie along other axes than the specimen's frame of their campaign has now."""
 
 from __future__ import annotations
 

@@ -94,8 +94,8 @@ def missing(kernels: Sequence[Kernel]) -> list[Kernel]:
 def compile_all(kernels: Sequence[Kernel], processes: int) -> Iterator[int]:
     """Compile what is missing, this process and others that it forks beside each other.
 
-    A kernel is begun once those that it calls are there. One that cannot be compiled is left to the job that
-    wants it, which says why. Must be begun where there are no threads.
+    A kernel is started once the kernels it calls are compiled. One that cannot be compiled is left to the job
+    that needs it, which says why. Must be started where there are no threads.
 
     Yields
     ------

@@ -94,8 +94,8 @@ def change(
     leaving
         Narrows the states that may be left; by default all that the transition table allows.
     fence
-        Of an attempt that ends: the change is made only if no newer one has begun and the job still runs. One
-        that was given up as lost may have been decided upon, without a newer attempt.
+        Of an attempt that ends: the change is made only if no newer one has started and the job still runs.
+        One that was given up as lost may have been decided upon, without a newer attempt.
     columns
         Further columns to set.
     """
@@ -258,7 +258,7 @@ def report_progress(session: Session, held: Claim, fraction: float, message: str
     Raises
     ------
     LeaseLost
-        A newer attempt has begun.
+        A newer attempt has started.
     Cancelled, OverLimit
         The job is to stop, by an operator's word or because it went over a limit.
     """
@@ -269,7 +269,7 @@ def report_progress(session: Session, held: Claim, fraction: float, message: str
         .returning(JobRow.stop_as, JobRow.stop_reason)
     ).one_or_none()
     if asked is None:
-        raise LeaseLost("a newer attempt has begun")
+        raise LeaseLost("a newer attempt has started")
     if asked.stop_as is not None:
         raise (OverLimit if asked.stop_as is JobState.FAILED else Cancelled)(asked.stop_reason or "")
 
@@ -321,7 +321,7 @@ def give_back(session: Session, worker_id: str, pid: int, held: Claim | None, no
         JobRow.worker_id == worker_id, JobRow.state == JobState.RUNNING, JobRow.pid == pid
     )
     found = [row for row in session.execute(unheard) if held is None or row.id != held.job_id]
-    message = "it had not begun: the database went away while it was claimed"
+    message = "it had not started: the database went away while it was claimed"
     for job_id, fence in found:
         change(session, job_id, JobState.QUEUED, now, message, fence=fence)
     return [job_id for job_id, _ in found]

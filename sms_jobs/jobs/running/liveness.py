@@ -199,7 +199,7 @@ def _stopped(session: Session, row: WorkerRow, supervisor: psutil.Process) -> It
         runs = f"{jobs[process.pid]} runs in" if process.pid in jobs else f"{what} of worker {row.id},"
         yield (
             f"{runs} process {process.pid}, which is stopped; 'kill -CONT {process.pid}' lets it go on, "
-            f"'kill -KILL {process.pid}' has its work begun again"
+            f"'kill -KILL {process.pid}' has its work restarted"
         )
 
 

@@ -34,7 +34,7 @@ class Origin:
 
     @classmethod
     def own(cls) -> Origin:
-        """Return where this process is; unknown where the system does not tell it, or tells of others."""
+        """Return where this process is; unknown where the system does not tell, or describes others."""
         try:
             if (_PROCESSES / "self").readlink().name != str(os.getpid()):
                 return cls()  # the processes that are shown are those of another name space

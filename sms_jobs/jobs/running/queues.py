@@ -100,14 +100,14 @@ def queue_names(session: Session) -> list[str]:
 
 
 def set_priority(session: Session, some: Chosen, priority: int) -> int:
-    """Give jobs that have not begun a priority; higher runs earlier. Return how many there were."""
+    """Give jobs that have not started a priority; higher runs earlier. Return how many there were."""
     pending = update(JobRow).where(*some.where, JobRow.state.in_(_PENDING))
     changed = session.execute(pending.values(priority=priority).execution_options(synchronize_session=False))
     return cast(CursorResult[Any], changed).rowcount
 
 
 def move(session: Session, some: Chosen, to: Literal["front", "back"]) -> int:
-    """Bring jobs that have not begun before or behind all others, in the order they have among themselves.
+    """Bring jobs that have not started before or behind all others, in the order they have among themselves.
 
     At the front they also get the highest priority that any such job has, at the back the lowest.
 
@@ -119,7 +119,7 @@ def move(session: Session, some: Chosen, to: Literal["front", "back"]) -> int:
     pending = (*some.where, JobRow.state.in_(_PENDING))
     count = session.scalar(select(func.count()).where(*pending)) or 0
     if not count:
-        raise Conflict("these jobs have begun or ended already, so their place in the queue is gone")
+        raise Conflict("these jobs have already started or ended, so their place in the queue is gone")
     best = func.max if to == "front" else func.min
     edge = func.min if to == "front" else func.max
     priority, position = session.execute(

@@ -135,7 +135,7 @@ def recover(
     ).all()
     if silent:
         session.execute(update(WorkerRow).where(WorkerRow.id.in_(silent)).values(given_up=True))
-    # Asked after the jobs were read: a process that has begun meanwhile is among them.
+    # Asked after the jobs were read: a process that has started meanwhile is among them.
     there = living() if suspects else ()
     lost = []
     for job, worker in suspects:

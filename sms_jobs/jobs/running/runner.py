@@ -1,7 +1,7 @@
 """Runs one job: loads what it needs, calls its kind, seals and indexes what comes out.
 
 The only place where kinds, archive and catalogue meet. Whatever happens, the job's row tells it: done,
-failed with a reason, queued again after a passing fault, or lost because a newer attempt has begun. A
+failed with a reason, queued again after a passing fault, or lost because a newer attempt has started. A
 catalogue that is away is waited for, and an archive that cannot be used is no fault of the job.
 """
 
@@ -84,7 +84,7 @@ class Runner:
     now
         Clock, with time zone.
     least_room_mb
-        No job is begun with less room than this on the archive's disk.
+        No job is started with less room than this on the archive's disk.
     """
 
     catalogue: Catalogue
@@ -107,7 +107,7 @@ class Runner:
         """Run queued jobs, the first of them first, until there are none.
 
         The transaction that ends a job claims the next: a commit is a good part of what a job costs. With
-        too little room for a job, none is begun and all queues are held back; where the archive cannot be
+        too little room for a job, none is started and all queues are held back; where the archive cannot be
         used, this worker is.
         """
         held = self._claimed()
@@ -131,7 +131,7 @@ class Runner:
             return None
 
     def _fault_beforehand(self) -> SmsError | None:
-        """Return why no job should be begun; asked outside of transactions, since a share may not answer."""
+        """Return why no job should start; called outside transactions, since a share may not answer."""
         try:
             self.archive.require_usable(self.least_room_mb)
         except (StorageFull, StorageUnusable) as fault:
@@ -249,7 +249,7 @@ class Runner:
         done, following = self._commit(held, end)
         if not done:
             self._discard(held, kind, sealed)
-            raise LeaseLost("a newer attempt has begun; what this one made is discarded")
+            raise LeaseLost("a newer attempt has started; what this one made is discarded")
         # Nothing may fail any more: the following job is this process's already.
         if kind.with_instruments:
             self.stations.empty(held.job_id)
@@ -279,7 +279,7 @@ class Runner:
             session, held, self.now(), message, reuse_key=key, reused_from=earlier.job_id
         )
         if not done and not lifecycle.has_succeeded(session, held):
-            raise LeaseLost("a newer attempt has begun")
+            raise LeaseLost("a newer attempt has started")
         logger.info("job %s: %s", held.job_id, message)
         return self._claim(session, fault)
 
@@ -355,7 +355,7 @@ class Runner:
         return None
 
     def _try_again(self, held: Claim, error: BaseException, how: str, **columns: Any) -> None:
-        """Queue the job again; when it is the archive's fault, with others held back until that is mended."""
+        """Queue the job again; if the archive is at fault, hold others back until it works again."""
         if isinstance(error, StorageFull):
             how = "waits for room"
         logger.warning("job %s: %s: %s", held.job_id, how, error)

@@ -135,7 +135,7 @@ def _needs(campaign: Campaign, subject: Subject, parameters: CalibrateParameters
 
 
 def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> Iterator[Output]:
-    """Find first values, adjust everything together, and tell what the result is worth."""
+    """Find first values, adjust everything together, and tell how accurate the result is."""
     plan: SessionPlan = inputs.context
     boards = observed(inputs, plan, OBSERVED_BOARDS, BOARD)
     progress(0.1, "looking for first values")

@@ -45,7 +45,7 @@ Boards = Mapping[str, Sequence[BoardObservation]]
 Bars = Mapping[str, Sequence[BarObservation]]
 
 _OUTER = 6  # parameters of a sensor that place it
-_UNKNOWN_PITCH = 0.01  # relative: what a bar is left to tell of a pitch that nobody has told of
+_UNKNOWN_PITCH = 0.01  # relative: what a bar is left to tell of a pitch that nobody has stated
 _GRID = 7  # places along each side of the volume at which the expected deviation is given
 
 
@@ -267,7 +267,7 @@ def _fixed(start: Start, sensor: Sensor, fixed: tuple[str, ...]) -> tuple[str, .
 def _board(
     plan: SessionPlan, start: Start, name: str, views: Sequence[BoardView], with_bar: bool
 ) -> BundleBoard:
-    """Return a board as it is told; a pitch that nobody has told of is nominal unless a bar can tell it."""
+    """Return a board as it is told; a pitch that nobody has stated is nominal unless a bar can tell it."""
     board = plan.session.artefacts[name]
     assert not isinstance(board, BallBar)
     scale, relative = start.pitch.get(name, (1.0, board.pitch_relative_sigma))

@@ -35,7 +35,7 @@ _PIXEL_REASONS = {
 
 @dataclass(frozen=True)
 class ImageDisplacement:
-    """The matches of points, spread to every pixel and held against the images.
+    """The matches of points, spread to every pixel and checked against the images.
 
     Attributes
     ----------

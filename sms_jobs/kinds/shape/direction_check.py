@@ -45,7 +45,7 @@ def check_directions(
     Notes
     -----
     Along one direction alone every ray meets its surface of phase, so that the volume alone tells: directions
-    that put the specimen into a large volume cannot be told from each other.
+    that put the specimen into a large volume cannot be distinguished.
     """
     every = max(1, trusted.shape[0] // _ROWS)
     trusted = trusted[::every]

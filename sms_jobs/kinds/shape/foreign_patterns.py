@@ -231,7 +231,9 @@ def check_stripes(
             stripe = np.where(sure, np.floor(np.where(sure, place, 0.0)), UNREAD).astype(np.int32)
             finding = order_mishap(stripe, code.bits)
         if finding is not None:
-            raise MeasurementFailed(f"the frames of {subject} are not what is told of them{along}: {finding}")
+            raise MeasurementFailed(
+                f"the frames of {subject} are not what they are said to be{along}: {finding}"
+            )
 
 
 def _levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[Any]) -> str | None:

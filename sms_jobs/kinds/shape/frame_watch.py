@@ -1,4 +1,4 @@
-"""Whether the frames of a tuple are what is told of them: checked on patches of the image, said in words."""
+"""Checks whether the frames of a tuple are what they are said to be, on patches of the image."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def check_frames(
         return
     sequence, grey = measurement.sequence, measurement.grey_levels
     densities = tuple(t for t in sequence.densities if t)
-    contradiction = "the frames of {} are not what is told of them: {}"
+    contradiction = "the frames of {} are not what they are said to be: {}"
     every = np.arange(len(patches))
     places = [every[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
     flat = patches.reshape(len(patches), -1)

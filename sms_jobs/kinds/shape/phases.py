@@ -1,8 +1,8 @@
 """The phases of a tuple: frames slab by slab to phase gradients, and a reason for what cannot be trusted.
 
 Of several exposures every pixel takes its best one, so that the camera's noise model holds for all that
-follows; grey levels are put in units of exposure 1 when all else is done. Where the projector's response is
-to be corrected it is found first, in a sample of the frames themselves.
+follows; grey levels are put in units of exposure 1 at the end. Where the projector's response is to
+be corrected it is found first, in a sample of the frames themselves.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Phases:
 def find_phases(task: PhaseTask, progress: Progress) -> Phases:
     """Return the phases of a tuple, its returns if there can be several, and the pixels not to be trusted.
 
-    Raises `MeasurementFailed` when the frames are not what is told of them, or when the response is to be
+    Raises `MeasurementFailed` when the frames are not what they are said to be, or when the response is to be
     corrected and cannot be found, and `InvalidInput` for ranging without a geometry and for a wrong number of
     frames.
     """

@@ -54,7 +54,7 @@ def sparse_surface(
     InvalidInput
         The calibration is not of the sensors that recorded it.
     MeasurementFailed
-        The frames are not what is told of them.
+        The frames are not what they are said to be.
     """
     calibration = inputs.read(port, CALIBRATED)
     camera, projector = paired_sensors(inputs, calibration, measurement)

@@ -302,7 +302,7 @@ def _matched(
 
 @dataclass(frozen=True)
 class _Spread:
-    """The matches with a partner, spread to every pixel and held against the images.
+    """The matches with a partner, spread to every pixel and checked against the images.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""Calibration: first guesses, bundle adjustment, and what they are worth."""
+"""Calibration: first guesses, bundle adjustment, and checks of the result."""

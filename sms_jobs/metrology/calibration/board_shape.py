@@ -7,7 +7,7 @@ stuck onto a curved sheet. With u and v from -1 to 1 across the board's points, 
 
 A bow is how far the ends of a middle line lie above its middle: the sagitta. The thirds make the plane the
 one that fits the board best, which keeps the frame of a board where it was when bow and twist are found.
-The model is that of mrcal's calibration object, with a twist besides and with what is told of flatness.
+The model is that of mrcal's calibration object, with a twist besides and with the stated flatness.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a texture is worth for matching: how coarse its speckle is, and how exact a match can be."""
+"""How well a texture suits matching: how coarse its speckle is, and how exact a match can be."""
 
 from __future__ import annotations
 

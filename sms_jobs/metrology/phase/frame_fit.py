@@ -126,7 +126,7 @@ class FrameFit:
 
     @property
     def agrees(self) -> bool:
-        """Whether the frames are explained by what is told of them."""
+        """Whether the frames are consistent with what is stated of them."""
         return not (self.few_agree or self.guilty.any())
 
 

@@ -105,7 +105,7 @@ def _explains(before: FrameFit, now: FrameFit) -> bool:
 def _explanations(
     told: tuple[SampledFrames, ...], fits: Fits, wrong: bool
 ) -> Iterator[tuple[Mishap, tuple[SampledFrames, ...]]]:
-    """Yield what may be wrong, and the frames with that mended."""
+    """Yield what may be wrong, and the frames with that repaired."""
     each, count = len(told[0].levels), len(told) * len(told[0].levels)
     levels = np.concatenate([one.levels for one in told])
     doubtful = [fit.share < _FEW or bool(fit.guilty.any()) for fit in fits]

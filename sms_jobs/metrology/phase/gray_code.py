@@ -1,7 +1,7 @@
 """Gray code of stripes: which stripes of the projector a pixel may see, and whether frames are such a code.
 
 Pattern b of n, the coarsest first, is bright where bit b of the stripe's Gray code is set; neighbouring
-stripes differ in one pattern only. A bit that cannot be told from noise leaves several stripes: one on a
+stripes differ in one pattern only. A bit that is lost in noise leaves several stripes: one on a
 border leaves the two beside it, and patterns too fine to be seen leave the stripe of a coarser code.
 """
 
@@ -189,7 +189,7 @@ def _agreement(words: tuple[Numbers, Numbers], bits: int, change: Callable[[Numb
 
 
 def _explanations(bits: int) -> list[tuple[str, Callable[[Numbers], Numbers]]]:
-    """Return what may be wrong with the order of patterns, and the words with that mended."""
+    """Return what may be wrong with the order of patterns, and the words with that repaired."""
 
     def ordered(places: list[int]) -> Callable[[Numbers], Numbers]:
         def change(word: Numbers) -> Numbers:

@@ -1,4 +1,4 @@
-"""Whether frames that share one mean and one modulation show what is told of them, and which does not.
+"""Whether frames that share one mean and one modulation show what is stated of them, and which does not.
 
 As in `frame_mishaps` each explanation changes one thing, and is tried on a sample of the pixels; frames of
 the anchor cannot be left out, for without them nothing tells mean and modulation.
@@ -85,7 +85,7 @@ def agrees(share: float) -> bool:
 
 
 def _explanations(told: JointFrames) -> Iterator[tuple[Mishap, JointFrames]]:
-    """Yield what may be wrong, and the frames with that mended."""
+    """Yield what may be wrong, and the frames with that repaired."""
     code, levels = told.code, told.levels
     count = len(levels)
     for f, g in combinations(range(count), 2):

@@ -78,7 +78,7 @@ def triangle_surface(vertices: Floats, faces: NDArray[np.integer]) -> TriangleSu
     which give the side of a surface on which a point lies even at edges and corners.
     """
     if not np.isfinite(vertices).all():
-        raise InvalidInput("a vertex of the reference surface has no finite position; mend the file")
+        raise InvalidInput("a vertex of the reference surface has no finite position; correct the file")
     joined, number = np.unique(np.asarray(vertices, np.float64) + 0.0, axis=0, return_inverse=True)
     corners = number.reshape(-1)[np.asarray(faces, np.int64)].reshape(-1, 3)
     a, b, c = (joined[corners[:, k]] for k in range(3))
@@ -88,7 +88,7 @@ def triangle_surface(vertices: Floats, faces: NDArray[np.integer]) -> TriangleSu
     # A sliver lower than a millionth of its length has no normal to speak of.
     kept = doubled > 1e-6 * longest**2
     if not kept.any():
-        raise InvalidInput("the reference surface has no triangle with an area; mend the file")
+        raise InvalidInput("the reference surface has no triangle with an area; correct the file")
     corners, normals = corners[kept], normals[kept] / doubled[kept, None]
     edge_normals, border_edges = _edges(corners, normals)
     border = np.zeros(len(joined), np.bool_)

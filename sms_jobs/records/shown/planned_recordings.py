@@ -27,7 +27,7 @@ class PlannedRecording:
     trigger
         What it waits for, in words.
     status
-        "planned", "held", "recorded" or "skipped"; once it has begun, the state of its job.
+        "planned", "held", "recorded" or "skipped"; once it has started, the state of its job.
     is_next
         Whether it comes next.
     waits_for
@@ -35,11 +35,11 @@ class PlannedRecording:
     unless_read
         The same but for what its channel read last, which changes while it waits.
     due_at
-        When it was due, once it has begun.
+        When it was due, once it has started.
     seen, seen_at
         What its channel read last, and when; None where it waits for none.
     job_id
-        Of its recording; None before it has begun.
+        Of its recording; None before it has started.
     planned_by
         Who has planned it.
     note

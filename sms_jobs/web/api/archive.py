@@ -1,4 +1,4 @@
-"""The archive: compared with what was sealed, and what would be mended or removed."""
+"""The archive: compared with what was sealed, and what would be repaired or removed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Verification(RequestBody):
 
 
 class Mending(RequestBody):
-    """How files are compared before it is said what would be mended."""
+    """How files are compared before it is said what would be repaired."""
 
     quick: Annotated[bool, Field(description="Look at presence and size alone.")] = False
 
@@ -58,7 +58,7 @@ async def verify(request: Request, services: Acting, body: Verification) -> Any:
 
 @ROUTES.offer("POST", "/archive/repairs", archive.repair, media=(MEDIA,))
 async def repairs(request: Request, services: Acting, body: Mending) -> Any:
-    """Say what would be mended; nothing is changed."""
+    """Say what would be repaired; nothing is changed."""
     return await followed(
         request, lambda tell: archive.repair(services, dry_run=True, quick=body.quick, tell=tell)
     )

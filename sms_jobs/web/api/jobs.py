@@ -1,4 +1,4 @@
-"""Jobs: submitted, looked at, waited for and mended."""
+"""Jobs: submitted, looked at, waited for and repaired."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class NewPlan(RequestBody):
 
     @property
     def looked_at(self) -> Look:
-        """Whether there are quick looks, and which limits hold the plan; `InvalidInput` for what is none."""
+        """Whether there are quick looks, and which limits hold the plan; `InvalidInput` for anything else."""
         limits = tuple(gauge_limit(text, "stop_if") for text in self.stop_if)
         return Look(self.look or bool(limits), limits)
 

@@ -1,4 +1,4 @@
-"""The session of a browser: begun with a password, ended, and whose it is."""
+"""The session of a browser: started with a password, ended, and whose it is."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def who(services: Acting) -> JSONResponse:
 
 
 def keep(request: Request, response: Response, session: LoggedIn) -> None:
-    """Let the browser keep a session that was begun."""
+    """Let the browser keep a session that was started."""
     response.set_cookie(
         COOKIE,
         session.secret,

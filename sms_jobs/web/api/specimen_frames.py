@@ -29,7 +29,7 @@ Point = Annotated[
 
 @dataclass(frozen=True)
 class FrameAnswer:
-    """The specimen frame of a campaign, or whether its scene has one, and what lies along another by now."""
+    """The specimen frame of a campaign, or whether its scene has one, and what lies along another now."""
 
     campaign: str
     frame: SpecimenFrame | None

@@ -1,4 +1,4 @@
-"""Calibrations: what each is worth and used for, and which a person takes into use."""
+"""Calibrations: how accurate each is, what it is used for, and which a person takes into use."""
 
 from __future__ import annotations
 

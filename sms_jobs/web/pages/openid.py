@@ -55,7 +55,7 @@ def come_back(request: Request, state: str = "", code: str = "", error: str = ""
         journey, going = Journey(**kept["journey"]), here(str(kept["next"]))
     except (KeyError, ValueError, TypeError) as wrong:
         raise NotAllowed(
-            f"this browser has begun no log-in within the last {_MINUTES} minutes; begin at /login"
+            f"this browser has started no log-in within the last {_MINUTES} minutes; begin at /login"
         ) from wrong
     begun = openid.complete(session.of_nobody(request), journey, state, code)
     # Not a redirect: after one that began at another site, a browser would not send the session's cookie.

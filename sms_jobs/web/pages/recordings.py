@@ -18,7 +18,7 @@ PAGES = Pages("recordings", Entry("Recordings", "/recordings", 30))
 
 _KIND = "acquire"
 _CHANGED = ("planned", "held")
-"""Planned recordings that have not begun, and may be held back or left out."""
+"""Planned recordings that have not started, and may be held back or left out."""
 
 
 @PAGES.show("/recordings", recordings.open_recordings)

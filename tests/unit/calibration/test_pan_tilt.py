@@ -163,7 +163,7 @@ def test_special_poses_that_cannot_be_numbered_are_refused(rng: np.random.Genera
     bar = np.array([[0.0, 0.0, -100.0], [0.0, 0.0, 100.0]])
     stage = Stage(np.eye(3), np.zeros(3), bar, None, 0.0, pi / 2)
     poses = [pose + 0.1 * rng.standard_normal((2, 3)) for pose in special(stage, pi / 2, pi / 2)]
-    with pytest.raises(CalibrationFailed, match="cannot be told apart"):
+    with pytest.raises(CalibrationFailed, match="cannot be distinguished"):
         label_special_poses(*poses, pi / 2, pi / 2)
 
 

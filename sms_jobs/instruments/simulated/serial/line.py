@@ -20,7 +20,7 @@ class SimulatedDevice(Protocol):
         ...
 
     def speak(self, now: float) -> list[tuple[float, bytes]]:
-        """Return what it sends unasked by now and has not returned before, with the times."""
+        """Return what it sends unasked so far and has not returned before, with the times."""
         ...
 
     def next_event(self) -> float | None:
@@ -74,7 +74,7 @@ class SimulatedLine:
             self._carry_back(reply, arrives + _THINKS_FOR_S)
 
     def take(self, now: float) -> bytes:
-        """Return the bytes that have arrived from the device by now."""
+        """Return the bytes that have arrived from the device so far."""
         for sent_at, unasked in self._device.speak(now):
             self._replies += 1
             # Of a device that is never asked, the messages are counted instead of the requests.

@@ -52,7 +52,7 @@ class _Module:
         return self._reply(frame, protocol.SUCCESS)
 
     def tell(self, now: float) -> Frame | None:
-        """Return what it says unasked by now."""
+        """Return what it says unasked so far."""
         if self.tells_at is None or now < self.tells_at:
             return None
         self.tells_at = None

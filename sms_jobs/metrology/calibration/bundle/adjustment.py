@@ -255,7 +255,7 @@ def _descend(
             raise CalibrationFailed(
                 f"the bundle adjustment found no minimum in {fit.iterations} iterations (a step still "
                 f"promises {gain / (here + 1.0):.1e} of the cost, limit {tolerance:.0e}): start nearer, look "
-                "for wrong points, or mend what is known worst: "
+                "for wrong points, or correct what is known worst: "
                 + weakest_in_words(problem, fit.freedom, normal)
             )
         fit.iterations += 1

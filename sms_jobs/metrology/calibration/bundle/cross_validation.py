@@ -1,4 +1,4 @@
-"""Held-out poses: what a calibration is worth on artefacts that took no part in it."""
+"""Held-out poses: how accurate a calibration is on artefacts that took no part in it."""
 
 from __future__ import annotations
 

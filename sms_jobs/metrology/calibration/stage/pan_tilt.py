@@ -292,7 +292,7 @@ def label_special_poses(
     rounding = 1e-9 * float(np.linalg.norm(home[1] - home[0]))
     if len(outcomes) > 1 and outcomes[1][0] < _LABEL_MARGIN * max(best[0], rounding):
         raise CalibrationFailed(
-            f"the spheres of the special poses cannot be told apart: two ways to number them fit to "
+            f"the spheres of the special poses cannot be distinguished: two ways to number them fit to "
             f"{best[0]:.3g} and {outcomes[1][0]:.3g} mm; take special poses at about 45 degrees"
         )
     return best[2], best[3]

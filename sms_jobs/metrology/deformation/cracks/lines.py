@@ -239,7 +239,7 @@ def _settled(line: _Ridge, images: PreparedImages, displacement: Floats, radius:
     """Return a line moved to where the images change from one side to the other; None where they do not.
 
     In a strip along the line each pixel is looked up where each of the sides would have it, and where it is
-    told to be. The line comes to where the sides leave least. Where a surface only bends, what is told of it
+    told to be. The line comes to where the sides leave least. Where a surface only bends, what is known of it
     leaves far less.
     """
     offset = np.arange(-radius, radius + 1.0)
@@ -350,7 +350,7 @@ def _drawn(lines: list[_Ridge], told: Mask, radius: int) -> Mask:
 
 
 def _led_on(tip: _Tip, told: Mask, others: KDTree | None, radius: int) -> Floats:
-    """Return the way straight on from a tip (n, 2), to another line or to where nothing is told of."""
+    """Return the way straight on from a tip (n, 2), to another line or to where nothing is known of."""
     place = tip.place.copy()
     while True:
         place += tip.ahead

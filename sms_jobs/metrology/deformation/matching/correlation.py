@@ -217,7 +217,7 @@ def _eliminate_light(
 
 @kernel
 def _invert_for(order: int, hessian: Floats, inverse: Floats) -> bool:
-    """Invert the normal matrix of the unknowns of an order; the inverse is zero for what is none."""
+    """Invert the normal matrix of the unknowns of an order; the inverse is zero for anything else."""
     if order > 0:
         return invert(hessian, inverse)
     shift = np.array([[hessian[0, 0], hessian[0, 3]], [hessian[3, 0], hessian[3, 3]]])

@@ -3,7 +3,7 @@
 A displacement is laid on the images, and what they do not share is looked at in windows smaller than the
 subsets that it comes from. Where the windows ask for another displacement by more than noise does, the
 subsets could not follow: the surface bends, cracks or hides behind something within one of them. Where the
-images differ by more than a displacement can mend, they do not show the same thing.
+images differ by more than a displacement can explain, they do not show the same thing.
 """
 
 from __future__ import annotations
