@@ -237,7 +237,8 @@ def _current_catalogue(settings: Settings) -> Catalogue:
         if not _archive_has_files(settings):
             raise
         raise CatalogueDamaged(
-            f"{str(error).partition(';')[0]}, although files lie in the archive {settings.archive_root}; end "
+            f"{str(error).partition(';')[0]}, although there are files in the archive "
+            f"{settings.archive_root}; end "
             "the service, then restore a backup, or run 'sms archive reindex', which enters these files again"
         ) from error
     return catalogue

@@ -32,7 +32,7 @@ def named(session: Session, name: str) -> PersonRow:
     """Return the person of that name, active or not; raise `NotFound` where there is none."""
     row = session.scalars(select(PersonRow).where(PersonRow.name == name)).one_or_none()
     if row is None:
-        raise NotFound(f"there is nobody called '{name}'; 'sms person list' shows who is there")
+        raise NotFound(f"there is no person '{name}'; 'sms person list' shows all")
     return row
 
 
@@ -55,7 +55,7 @@ def add(session: Session, name: str, role: Role, password: str | None, now: date
     try:
         session.flush()
     except IntegrityError as error:
-        raise Conflict(f"there is somebody called '{name}' already; choose another name") from error
+        raise Conflict(f"there is already a person '{name}'; choose another name") from error
     return row
 
 
@@ -72,8 +72,7 @@ def require_another_administrator(session: Session, row: PersonRow) -> None:
     )
     if list(session.scalars(active)) == [row.name]:
         raise Conflict(
-            f"{row.name} is the last active administrator; make somebody else one with 'sms person role' "
-            "first"
+            f"{row.name} is the last active administrator; make someone else one with 'sms person role' first"
         )
 
 

@@ -144,7 +144,7 @@ def _refuse_newer(catalogue: Catalogue, found: str | None) -> None:
     if found is not None and found < versions[0]:
         raise OtherFormat(
             f"the catalogue {catalogue.describe()} has revision {found}, from before the first release; this "
-            f"version reads {versions[0]} and later: begin anew with 'sms init' in another home"
+            f"version reads {versions[0]} and later: start again with 'sms init' in another home"
         )
     if found is not None and found not in versions:
         raise OtherFormat(

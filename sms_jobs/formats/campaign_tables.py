@@ -343,7 +343,7 @@ class CampaignTable(Table):
                     )
             return self.scene.record(self.rig, shown)
         if self.scene.surface is None:
-            raise InvalidInput("scene.surface is missing: say what stands before the virtual rig")
+            raise InvalidInput("scene.surface is missing: describe what is in front of the virtual rig")
         return self.scene.record(self.rig, self.scene.surface)
 
     def _calibration(self, scene: Scene | None) -> Calibration | None:
@@ -383,8 +383,8 @@ class CampaignTable(Table):
                     rig.sensor(name)
             if self.session is not None and view.other_cameras:
                 raise InvalidInput(
-                    f"the view {view} has no place in a calibration session, where each camera finds boards "
-                    f"by itself: name the cameras one by one, as in views = {[*view.sensors]}"
+                    f"the view {view} has no place in a calibration session, where each camera finds "
+                    f"boards separately: name single cameras, as in views = {[*view.sensors]}"
                 )
         if len(set(self.views)) < len(self.views):
             raise InvalidInput(f"views names one view twice: {', '.join(self.views)}")

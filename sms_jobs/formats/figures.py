@@ -223,7 +223,7 @@ def _draw_points(record: Any, values: NDArray[Any], title: str, unit: str, width
     if not (hasattr(record, "vertices") or hasattr(record, "x")):
         raise InvalidInput(
             f"a {type(record).__name__} is neither an image nor a mesh, and cannot be plotted; "
-            "'sms data show' tells what it holds"
+            "'sms data show' lists its contents"
         )
     figure = new_figure(width_px / DOTS_PER_INCH, 0.8 * width_px / DOTS_PER_INCH)
     axes = figure.add_subplot()

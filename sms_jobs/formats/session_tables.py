@@ -201,7 +201,8 @@ def _check_markers(name: str, board: CircleBoard, markers: tuple[Place, Place, P
     (column, row), (second, second_row), (third_column, third) = markers
     if second_row != row or third_column != column or second == column or third == row:
         raise InvalidInput(
-            f"the markers of {name} tell no axes: the second must share the row of the first, the third its "
+            f"the markers of {name} define no axes: the second must share the row of the first, the third "
+            f"its "
             "column"
         )
     if board.marker == "ring" and not 0.0 < board.marker_hole_mm < board.marker_diameter_mm:

@@ -345,8 +345,8 @@ class GenicamCamera:
         if not own_ms:
             if exposure != 1.0:
                 raise DeviceFault(
-                    f"camera {name} is to expose {exposure:g} times as long as usual, and its rig file says "
-                    "nothing of its exposure: give exposure_ms, or record with one exposure"
+                    f"camera {name} is to expose {exposure:g} times as long as usual, and its rig file "
+                    f"has no exposure: give exposure_ms, or record with one exposure"
                 )
             return
         feature = self._one_of("ExposureTime", "ExposureTimeAbs")
@@ -366,8 +366,7 @@ class GenicamCamera:
             if self._features.has(name):
                 return name
         raise DeviceFault(
-            f"camera {self._settings.name} has no feature {' or '.join(names)}: leave out what the rig file "
-            "says of it"
+            f"camera {self._settings.name} has no feature {' or '.join(names)}: remove it from the rig file"
         )
 
     def _set_if_there(self, name: str, value: Value) -> None:

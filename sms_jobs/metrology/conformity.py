@@ -81,7 +81,7 @@ def decide(probabilities: Sequence[float], risk: float, missing: int = 0) -> Con
     of JCGM 106:2012, with guard bands that follow from the probability.
     """
     if not 0.0 < risk < 0.5:
-        raise InvalidInput(f"a risk lies between 0 and 0.5, not at {risk:g}: give 0.05 for one in twenty")
+        raise InvalidInput(f"a risk is between 0 and 0.5, not {risk:g}: give 0.05 for one in twenty")
     most = min(probabilities, default=1.0)
     least = 0.0 if missing or not probabilities else max(0.0, 1.0 - sum(1.0 - p for p in probabilities))
     if least >= 1.0 - risk:

@@ -224,8 +224,8 @@ class CalibrationQuality:
         """
         if self.estimates is None:
             raise OtherFormat(
-                f"the calibration does not tell the {name_of(what, owner)} but in words, as an older version "
-                "wrote it: calibrate its session again, and accept what that gives"
+                f"the calibration has the {name_of(what, owner)} only in words, as an older version wrote "
+                f"it: calibrate its session again, and accept the result"
             )
         same = (e for e in self.estimates if (e.what, e.owner, e.sphere) == (what, owner, None))
         return next(same, None)

@@ -210,7 +210,7 @@ class Stage:
             raise InvalidInput(f"stage '{self.name}': PowerCubes have addresses from 1 to 31")
         if self.start == "on-signal" and self.protocol != "powercube":
             raise InvalidInput(
-                f"stage '{self.name}' cannot start on a signal: only PowerCubes can; say start = 'together'"
+                f"stage '{self.name}' cannot start on a signal: only PowerCubes can; write start = 'together'"
             )
         if self.unit_rad <= 0.0 or self.backlash_rad < 0.0:
             raise InvalidInput(

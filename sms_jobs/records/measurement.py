@@ -63,8 +63,8 @@ class FringeSequence:
             )
         if self.gray is not None and (self.gray.threshold == "fringes") > bool(self.densities):
             raise InvalidInput(
-                "a Gray code without fringes needs the inverse of each pattern, or white and black, to tell "
-                "bright from dark"
+                "a Gray code without fringes needs the inverse of each pattern, or white and black, to "
+                "distinguish bright from dark"
             )
         if self.shown:
             self._check_shown()

@@ -30,13 +30,13 @@ def _check_size(name: str, columns: int, rows: int) -> None:
 def _check_model(name: str, intrinsics: Intrinsics) -> None:
     if intrinsics.fisheye not in (0.0, 1.0):
         raise InvalidInput(
-            f"fisheye of sensor {name} is {intrinsics.fisheye:g}: say 1 for a fisheye, 0 for any other lens"
+            f"fisheye of sensor {name} is {intrinsics.fisheye:g}: give 1 for a fisheye, 0 for any other lens"
         )
     for key in foreign(intrinsics.model):
         value = getattr(intrinsics, key)
         if value:
             raise InvalidInput(
-                f"sensor {name} is a {intrinsics.model}, which has no {key}, but {key} is {value:g}: say 0"
+                f"sensor {name} is a {intrinsics.model}, which has no {key}, but {key} is {value:g}: give 0"
             )
 
 

@@ -71,7 +71,9 @@ def _services_for(request: Request) -> Services:
             raise NobodyKnown(str(error)) from error
     if _at_the_desk(origin) and request.app.state.desk and not people.has_people(own):
         return own.acting(replace(own.actor, via="web", origin=origin))
-    raise NobodyKnown("nobody is logged in; log in at /login, or send a token as 'Authorization: Bearer ...'")
+    raise NobodyKnown(
+        "you are not logged in; log in at /login, or send a token as 'Authorization: Bearer ...'"
+    )
 
 
 def _at_the_desk(origin: str) -> bool:

@@ -35,7 +35,7 @@ class _Progress:
 
     def tell(self, step: Step) -> None:
         if self.given_up:
-            raise Cancelled("whoever asked for it has gone")
+            raise Cancelled("the client that asked for it has gone")
         self.latest = step
 
 

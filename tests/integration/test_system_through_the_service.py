@@ -89,7 +89,7 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
     for words, code, why in (
         ((*report, "--limit", "roundness=1"), USAGE, "no 'roundness' is tested"),
         ((*report, "--limit", "flatness"), USAGE, "a limit is a name and mm"),
-        ((*report, "--limit", "flatness=1", "--risk", "0.9"), USAGE, "a risk lies between 0 and 0.5"),
+        ((*report, "--limit", "flatness=1", "--risk", "0.9"), USAGE, "a risk is between 0 and 0.5"),
         ((*plan, "--name", "check", *CERTIFICATES), CONFLICT, "there is a campaign check-bar already"),
         ((*plan, "--name", "long", "--bar", "900,22"), USAGE, "does not fit along X"),
         ((*plan, "--name", "none"), USAGE, "a test needs an artefact"),

@@ -36,7 +36,7 @@ def test_decisions(probabilities: list[float], missing: int, decision: Decision)
 
 @pytest.mark.parametrize("risk", [0.0, 0.5, 1.0, float("nan")])
 def test_a_risk_that_is_none_is_refused(risk: float) -> None:
-    with pytest.raises(InvalidInput, match="a risk lies between 0 and"):
+    with pytest.raises(InvalidInput, match="a risk is between 0 and"):
         decide([1.0], risk)
 
 

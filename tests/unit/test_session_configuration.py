@@ -155,7 +155,7 @@ MISTAKES = [
     ("pitch_mm = 30.0", "pitch_mm = 0", "session.artefacts.board.pitch_mm should be greater than 0, not 0"),
     ("columns = 7", "columns = 1", "session.artefacts.board.columns should be greater than or equal to 2"),
     ("columns = 7", "columns = 5", "the marker (5, 1) of board is not on its 5 x 7 dots"),
-    ("[[1, 1], [5, 1], [1, 5]]", "[[1, 1], [5, 2], [1, 5]]", "the markers of board tell no axes"),
+    ("[[1, 1], [5, 1], [1, 5]]", "[[1, 1], [5, 2], [1, 5]]", "the markers of board define no axes"),
     ("[[1, 1], [5, 1], [1, 5]]", "[[1, 1], [5, 1]]", "session.artefacts.board.markers[3] is missing"),
     ('marker = "ring"', 'marker = "star"', "session.artefacts.board.marker should be 'ring' or 'larger-dot'"),
     ("marker_hole_mm = 12.0", "", "the rings of board need marker_hole_mm between 0 and marker_diameter_mm"),
@@ -244,7 +244,7 @@ def test_a_mistake_in_a_real_session_is_refused(old: str, new: str, message: str
 def test_a_test_keeps_what_it_needs() -> None:
     text = example_campaign()
     volume, surface, speckle = (text.index(f"[scene.{part}]") for part in ("volume", "surface", "speckle"))
-    with pytest.raises(ConfigurationError, match=r"scene\.surface is missing: say what stands"):
+    with pytest.raises(ConfigurationError, match=r"scene\.surface is missing: describe what is"):
         parse_campaign(text[:surface] + text[speckle:], "plate.toml")
     with pytest.raises(ConfigurationError, match=r"scene\.volume is missing: give the corners"):
         parse_campaign(text[:volume] + text[surface:], "plate.toml")

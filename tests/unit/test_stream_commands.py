@@ -103,7 +103,7 @@ def test_a_campaign_is_made_whose_reference_is_the_first_frame(services: Service
         (
             "fringes --rate 1Hz --for 1s",
             USAGE,
-            "streams are of a specimen before cameras without a projector",
+            "streams are for cameras without a projector",
         ),
         ("NEW --rate 20 --for 1s", USAGE, "--rate is '20', which has no unit: write it in Hz, kHz"),
         ("NEW --rate 20Hz --for 30", USAGE, "--for is '30', which has no unit"),

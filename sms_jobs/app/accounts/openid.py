@@ -113,8 +113,8 @@ def complete(services: Services, journey: Journey, state: str, code: str) -> Log
     if name is None:
         called = harmless(str(claims.get("preferred_username") or claims.get("email") or "somebody"))[:80]
         raise NotAllowed(
-            f"the identity provider knows {called} as '{harmless(subject)[:200]}', who is nobody here; an "
-            f"administrator can enter that with 'sms person identity NAME {harmless(subject)[:200]}'"
+            f"the identity provider knows {called} as '{harmless(subject)[:200]}', who has no account "
+            f"here; an administrator can add it with 'sms person identity NAME {harmless(subject)[:200]}'"
         )
     return people.begin_session(services.catalogue, services.actor, name, "openid.complete")
 
@@ -224,7 +224,7 @@ def _asked(
     import httpx2
 
     if not _is_safe(address):
-        raise ConfigurationError(f"{address:.200} has no TLS; an identity provider is asked by https alone")
+        raise ConfigurationError(f"{address:.200} has no TLS; an identity provider needs https")
     try:
         with httpx2.Client(timeout=_PATIENCE_S, follow_redirects=False) as client:
             answer = client.request(method, address, data=form, auth=auth)

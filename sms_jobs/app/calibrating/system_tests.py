@@ -103,7 +103,7 @@ def plan(
     calibration = calibrations.show(services, used[0].id).calibration
     pattern = None if like is None else campaigns.definition(services, like)
     if pattern is not None and pattern.rig != rig:
-        raise InvalidInput(f"campaign {like} is of rig {pattern.rig}, not of {rig}; choose one of that rig")
+        raise InvalidInput(f"campaign {like} belongs to rig {pattern.rig}, not {rig}; choose one of that rig")
     made = []
     if bar is not None:
         made.append(_of_bar(f"{name}-bar", bar, calibration, pattern))

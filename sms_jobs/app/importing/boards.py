@@ -166,7 +166,7 @@ def _check(
     unknown = [p for p in arrangement.views if p not in existing.views]
     if unknown:
         raise InvalidInput(
-            f"session {name} has no camera {', '.join(unknown)} by itself; it has {', '.join(existing.views)}"
+            f"session {name} has no separate camera {', '.join(unknown)}; it has {', '.join(existing.views)}"
         )
     labels = {s.label for s in existing.states}
     added = [label for label in arrangement.states if label not in labels]

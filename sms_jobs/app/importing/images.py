@@ -236,7 +236,7 @@ def _of_views(arrangement: Arrangement, views: Sequence[str], existing: Campaign
     if existing is not None and other:
         names = ", ".join(dict.fromkeys(t.view for t in other))
         raise InvalidInput(
-            f"campaign {existing.name} takes no image of {names} by itself; its views are "
+            f"campaign {existing.name} takes no separate images of {names}; its views are "
             f"{', '.join(existing.views)}"
         )
     left_out = [

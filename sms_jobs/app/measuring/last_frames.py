@@ -96,7 +96,7 @@ def _newest(services: Services, prefix: str) -> _Newest:
     if not sealed:
         raise NotFound(
             f"no frame of recording {job[:SHORT_ID]} is in the spool of this host or in the archive; "
-            f"'sms job explain {job[:SHORT_ID]}' says how it stands"
+            f"'sms job explain {job[:SHORT_ID]}' shows its status"
         )
     return _sealed(services, job, sealed[-1])
 

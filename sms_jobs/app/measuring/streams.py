@@ -142,8 +142,8 @@ def _asked(services: Services, task: Task) -> tuple[bool, Campaign, StreamParame
     campaign = _new(task) if existing is None else existing
     if not campaigns_of_cameras(campaign):
         raise InvalidInput(
-            f"campaign {campaign.name} is measured by {', '.join(campaign.views)}: streams are of a specimen "
-            "before cameras without a projector; name another campaign, with a rig to create it"
+            f"campaign {campaign.name} is measured by {', '.join(campaign.views)}: streams are for "
+            f"cameras without a projector; name another campaign, with a rig to create it"
         )
     cameras = campaign.recordings
     if task.cameras and {*task.cameras} != {*cameras}:

@@ -45,13 +45,13 @@ def in_specimen_frame(record: Any, campaign: Campaign) -> Any:
     """
     if campaign.frame is None and campaign.scene is None:
         raise InvalidInput(
-            f"nobody has found the specimen's frame of campaign {campaign.name}; 'sms campaign frame "
+            f"the specimen's frame of campaign {campaign.name} is not set; 'sms campaign frame "
             f"{campaign.name} --help' shows how"
         )
     turned = _TURNED.get(type(record))
     if turned is None:
         raise InvalidInput(
-            f"a {type(record).__name__} has nothing that lies in a frame; choose a surface, a displacement, "
+            f"a {type(record).__name__} has no frame; choose a surface, a displacement, "
             "a merged result or strain, or leave out the frame"
         )
     if not _in_space(record):

@@ -126,7 +126,7 @@ def _compared(
     if not pairs:
         raise InvalidInput(
             f"runs '{before}' and '{after}' have no result of the same kind and subject; "
-            f"'sms run show' tells what each has"
+            f"'sms run show' lists the results of each"
         )
     numbered = sorted((p for p in pairs if p[0].result.kind in (*_FIELDS, _GAUGES)), key=order)
     other = [pair for pair in numbered if not _are_same(*pair)]

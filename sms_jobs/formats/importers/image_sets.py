@@ -100,7 +100,7 @@ def arrange_images(
     states = {state for state, _ in groups}
     if reference is not None and reference not in states:
         raise InvalidInput(
-            f"no image is of the reference {reference}; there are "
+            f"no image shows the reference {reference}; there are "
             f"{', '.join(sorted(states, key=natural)[:10]) or 'none'}"
         )
     tuples = [_found(state, name, files) for (state, name), files in groups.items()]

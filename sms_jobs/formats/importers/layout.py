@@ -326,7 +326,7 @@ def _shown_sequence(table: LayoutTable, blocks: tuple[Block, ...]) -> FringeSequ
             )
         return FringeSequence((), orientations_rad=angles, gray=gray)
     if not densities or steps is None:
-        raise InvalidInput("sequence.densities or sequence.steps is missing: say both for fringes")
+        raise InvalidInput("sequence.densities or sequence.steps is missing: give both for fringes")
     told = FringeSequence.with_counts(densities, steps, angles, gray=gray)
     turned = tuple(tuple(table.phase.direction * k % told.steps for k in steps) for steps in told.shown)
     return replace(told, shown=turned)
@@ -362,7 +362,9 @@ def _gray(table: _Gray | None, blocks: tuple[Block, ...]) -> GrayCode | None:
             raise InvalidInput("gray is described, but frames names no gray: add it where it was recorded")
         return None
     if table is None:
-        raise InvalidInput("frames has a Gray code: say its patterns an orientation, as [gray] bits = 6")
+        raise InvalidInput(
+            "frames has a Gray code: give its patterns per orientation, for example [gray] bits = 6"
+        )
     both = {"white", "black"} <= set(kinds)
     inverted = "gray+inverse" in kinds or "inverse" in kinds
     threshold: Threshold = "inverse" if inverted else "white-black" if both else "fringes"
@@ -390,7 +392,7 @@ def _check_names(layout: FrameLayout) -> None:
         if len(layout.sequence.densities) == 1 and lacking == ["density"]:
             lacking = []
         if lacking:
-            raise InvalidInput("the pattern needs {number}, or {density} and {step}, to tell frames apart")
+            raise InvalidInput("the pattern needs {number}, or {density} and {step}, to distinguish frames")
         if any(b.kind != "fringes" for b in layout.blocks) or layout.sequence.joint:
             raise InvalidInput(
                 "frames other than fringes, and densities with steps of their own, need {number} in the "

@@ -95,7 +95,7 @@ def _together(texts: list[tuple[Path, str]]) -> Table:
         table = parse_storage(text, str(path))
         twice = sorted(whole.keys() & table.keys())
         if twice:
-            raise ConfigurationError(f"{path} says again what another file says: {', '.join(twice[:5])}")
+            raise ConfigurationError(f"{path} repeats settings of another file: {', '.join(twice[:5])}")
         whole |= table
     return whole
 

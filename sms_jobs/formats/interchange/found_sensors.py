@@ -86,7 +86,7 @@ def numbers(value: Any, where: str) -> Floats:
         flat = [number for row in flat for number in row]
     for number in flat:
         if isinstance(number, bool) or not isinstance(number, int | float):
-            raise ConfigurationError(f"{where} should hold numbers alone, not {str(number)[:40]!r}")
+            raise ConfigurationError(f"{where} should contain only numbers, not {str(number)[:40]!r}")
         if not isfinite(number):
             raise ConfigurationError(f"{where} holds {number}, which is not finite")
     shape = (len(flat),) if shape is None else shape

@@ -102,7 +102,7 @@ def _numbers(document: Document) -> dict[str, float]:
         if said["unit"] is not None and units and said["unit"].strip().lower() not in units:
             raise ConfigurationError(f"{where}: {said['name']} should be in {units[0]}, not {said['unit']}")
         if name in found:
-            raise ConfigurationError(f"{where}: {said['name']} stands twice in one file")
+            raise ConfigurationError(f"{where}: {said['name']} is given twice in one file")
         found[name] = number(said["value"], f"{said['name']} in line {count} of {document.source}")
     return found
 

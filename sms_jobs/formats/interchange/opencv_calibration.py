@@ -254,8 +254,8 @@ def _second_pose(layout: _Layout, table: Table, source: str, used: set[str]) -> 
             return AT_ORIGIN
         missing = layout.rotation[0] if rotation is None else layout.translation[0]
         raise ConfigurationError(
-            f"{source} does not say where the sensors stand: {missing} is missing; where it is in a second "
-            "file, such as extrinsics.yml, give both files"
+            f"{source} does not give the poses of the sensors: {missing} is missing; if it is in a second "
+            f"file, such as extrinsics.yml, give both files"
         )
     used |= {rotation, translation}
     return pose_from(

@@ -130,8 +130,8 @@ class OpencvCamera:
             self._expose(own * exposure)
         elif exposure != 1.0:
             raise DeviceFault(
-                f"camera {name} is to expose {exposure:g} times as long as usual, and its rig file says "
-                "nothing of its exposure: give exposure_ms, or record with one exposure"
+                f"camera {name} is to expose {exposure:g} times as long as usual, and its rig file has no "
+                f"exposure: give exposure_ms, or record with one exposure"
             )
 
     def trigger(self) -> None:

@@ -192,7 +192,7 @@ class PanTilt:
                     else "beyond its range"
                 )
                 raise LimitExceeded(
-                    f"the {axis} axis of '{self.name}' is told to go to {requested:.4f} rad, {cause}: it may "
+                    f"the {axis} axis of '{self.name}' is sent to {requested:.4f} rad, {cause}: it may "
                     f"go from {valid.minimum_rad:.4f} to {valid.maximum_rad:.4f} rad"
                 )
             nearest = min((requested + turn * _TURN for turn in turns), key=abs)

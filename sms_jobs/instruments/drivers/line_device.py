@@ -103,9 +103,9 @@ class ScalarInstrument:
                     return text
                 first = False
         raise LinkLost(
-            f"'{self._channel.name}' on {link.port} told no value within "
+            f"'{self._channel.name}' on {link.port} sent no value within "
             f"{link.reply_timeout_s * (link.retries + 1):g} s: check its power and its cable, and that it "
-            "sends by itself, with the baud rate and in the form of the rig file"
+            f"sends unasked, with the baud rate and format of the rig file"
         )
 
     def _has_value(self, text: str) -> bool:

@@ -253,6 +253,6 @@ class PowerCubeAxes:
             if not waiting:
                 return
         raise DeviceFault(
-            f"{' and '.join(waiting)} of '{self._stage.name}' did not start on the common signal: say "
-            "start = 'together' in the rig file for modules that do not know it"
+            f"{' and '.join(waiting)} of '{self._stage.name}' did not start on the common signal: write "
+            f"start = 'together' in the rig file for modules without it"
         )

@@ -52,7 +52,7 @@ class Ptu46:
             if values == before:
                 return dict(zip(names, values, strict=True))
         raise DeviceFault(
-            f"'{self.device}' tells other limits and resolutions each time it is asked: check its cable"
+            f"'{self.device}' reports different limits and resolutions each time: check its cable"
         )
 
     def _ask(self, name: str, value: int | None, answers: Callable[[ptu46.Reply], bool]) -> ptu46.Reply:
@@ -106,7 +106,7 @@ class PtuAxes:
             radians = ptu46.radians_per_count(seconds_of_arc)
             if not _FINEST_RAD <= radians <= _COARSEST_RAD:
                 raise DeviceFault(
-                    f"'{self._stage.name}' tells a resolution of {seconds_of_arc:g} seconds of arc on its "
+                    f"'{self._stage.name}' reports a resolution of {seconds_of_arc:g} seconds of arc on its "
                     f"{name} axis, where 12 to 185 are usual: check its cable, and that it is a PTU-46"
                 )
             scale = _Scale(radians, int(minimum), int(maximum))

@@ -211,7 +211,7 @@ def measuring_pairs(rig: Rig) -> list[tuple[str, str]]:
     pairs = _measuring(rig) or [*combinations((s.name for s in rig.sensors), 2)]
     if not pairs:
         raise InvalidInput(
-            f"rig {rig.name} has one sensor, which measures no points by itself: see its parameters in 'sms "
+            f"rig {rig.name} has one sensor, which alone measures no points: see its parameters in 'sms "
             "calibration show'"
         )
     return pairs

@@ -152,7 +152,7 @@ def import_measurement(
 
 def _require_same(now: object, before: object, what: str) -> None:
     if now != before:
-        raise Conflict(f"{what} was changed by somebody else meanwhile: import again")
+        raise Conflict(f"{what} was changed by someone else meanwhile: import again")
 
 
 def import_observations(

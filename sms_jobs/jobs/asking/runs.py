@@ -190,7 +190,7 @@ def keep(session: Session, name: str, reason: str, now: datetime) -> None:
     """
     row = _required(session, name, lock=True)
     if row.kept_at is not None:
-        raise Conflict(f"run '{name}' is kept already; 'sms run show {name}' tells why")
+        raise Conflict(f"run '{name}' is already kept; 'sms run show {name}' says why")
     active = session.scalar(
         select(func.count())
         .select_from(RunJobRow)

@@ -118,7 +118,7 @@ def back_up(
     Raises
     ------
     InvalidInput
-        The folder lies in the archive.
+        The folder is inside the archive.
     Conflict
         There is a snapshot of this second already.
     StorageFull
@@ -126,7 +126,7 @@ def back_up(
     """
     folder = folder.absolute()
     if folder.resolve().is_relative_to(settings.archive_root.resolve()):
-        raise InvalidInput(f"{folder} lies in the archive {archive.where}; give a folder elsewhere")
+        raise InvalidInput(f"{folder} is inside the archive {archive.where}; give a folder elsewhere")
     snapshot = folder / SNAPSHOTS / f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}.sqlite"
     if snapshot.exists():
         raise Conflict(f"there is a snapshot {snapshot} already; try again in a second")

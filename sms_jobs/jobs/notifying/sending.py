@@ -64,7 +64,7 @@ def require_mail(settings: Settings) -> None:
         )
     if settings.smtp_user and settings.smtp_security == "none":
         raise ConfigurationError(
-            "'smtp_security' is none, which would show the password to everybody on the way; set it to "
+            "'smtp_security' is none, which would send the password unencrypted; set it to "
             "starttls or tls, or leave out 'smtp_user'"
         )
 
@@ -109,8 +109,8 @@ def _call(settings: Settings, delivery: Delivery, now: datetime) -> None:
         raise NotDelivered(f"{where.shown} cannot be reached: {_reason(str(error), where)}") from None
     if 300 <= status < 400:
         raise NotDelivered(
-            f"{where.shown} answered {status} and wants to lead elsewhere, which is not followed; subscribe "
-            "the address that it leads to"
+            f"{where.shown} answered {status} and redirects elsewhere, which is not followed; subscribe "
+            f"the address that it redirects to"
         )
     if not 200 <= status < 300:
         raise NotDelivered(f"{where.shown} answered {status}")

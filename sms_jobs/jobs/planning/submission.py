@@ -288,7 +288,7 @@ def enter(session: Session, planned: Draft) -> Submission:
 def _require_current(session: Session, planned: Draft) -> None:
     known_by = select(CampaignRow.definition_hash).where(CampaignRow.id == planned.campaign_id)
     if session.scalar(known_by) != planned.definition_hash:
-        raise PlanOutdated("the campaign was changed by somebody else meanwhile; submit the jobs again")
+        raise PlanOutdated("the campaign was changed by someone else meanwhile; submit the jobs again")
     for some in parts(planned.producers):
         # Locked, so that none ends without seeing who waits for it; waiting here for one that is about to
         # could be in a circle.

@@ -105,7 +105,7 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
     defined = definition(row)
     if defined.session is not None:
         raise InvalidInput(
-            f"{campaign} is a calibration session, and somebody places its artefacts: use 'sms acquire run'"
+            f"{campaign} is a calibration session, whose artefacts a person places: use 'sms acquire run'"
         )
     left = recordings.unrecorded(session, campaign)
     for label in labels:

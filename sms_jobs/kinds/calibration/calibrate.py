@@ -60,7 +60,8 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
     bars, exchanged = alike_numbered(observed(inputs, plan, OBSERVED_BARS, BAR))
     if not any(len(one.sphere) for seen in bars.values() for one in seen):
         raise CalibrationFailed(
-            f"nobody saw a sphere of the bar in any of its {len(bars)} poses; record them again, or use the "
+            f"no camera saw a sphere of the bar in any of its {len(bars)} poses; record them again, or "
+            f"use the "
             "calibration from boards alone in a session without a bar"
         )
     start = _start(inputs, plan, boards)

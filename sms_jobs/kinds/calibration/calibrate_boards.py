@@ -168,7 +168,7 @@ def _from_nothing(plan: SessionPlan, boards: Boards, parameters: CalibrateParame
             )
         raise CalibrationFailed(
             f"nobody saw the board in pose {world}, which is to be the world's frame; record it again, or "
-            f"let the session begin with another pose ({'; '.join(reasons)})"
+            f"start the session with another pose ({'; '.join(reasons)})"
         )
     found = initialise(
         views,
@@ -239,8 +239,9 @@ def _check_unfolded(calibration: Calibration) -> None:
             at, reach = folded
             raise CalibrationFailed(
                 f"the lens of {sensor.name} that fits the boards folds over {at:.0f} px from its principal "
-                f"point, and its image reaches to {reach:.0f} px: show boards out to the corners, hold what "
-                "they do not tell (fixed=k2,k3), or take another lens (lens=rational or fisheye)"
+                f"point, and its image reaches to {reach:.0f} px: show boards out to the corners, hold "
+                f"the parameters that they do not determine (fixed=k2,k3), or take another lens "
+                f"(lens=rational or fisheye)"
             )
 
 

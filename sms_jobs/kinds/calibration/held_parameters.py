@@ -39,7 +39,7 @@ def checked(entries: Sequence[str]) -> tuple[str, ...]:
         if not equals:
             continue
         if name == "fisheye":
-            raise ValueError(f"'{entry}' is said by the lens: give lens=fisheye, or lens=plain")
+            raise ValueError(f"'{entry}' is set by the lens: give lens=fisheye, or lens=plain")
         try:
             value = float(text)
         except ValueError:
@@ -124,5 +124,5 @@ def checked_lenses(entries: Sequence[str]) -> tuple[str, ...]:
             )
     names = [entry.rpartition("=")[0] for entry in entries]
     if len(set(names)) < len(names):
-        raise ValueError(f"{', '.join(entries)} says a lens twice: name it once")
+        raise ValueError(f"{', '.join(entries)} names a lens twice: name it once")
     return tuple(entries)

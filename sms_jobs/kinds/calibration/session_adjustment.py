@@ -213,7 +213,7 @@ def problem_of(
     if start.world is not None and start.world not in poses:
         raise CalibrationFailed(
             f"no sensor shows the board in pose {start.world}, which is to be the world's frame; record it "
-            "again, or let the session begin with another pose"
+            "again, or start the session with another pose"
         )
     artefact_of = {p.label: p.artefact for p in plan.poses}
     centres = {pose: middle_centres(seen) for pose, seen in bars.items()}

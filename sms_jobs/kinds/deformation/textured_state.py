@@ -85,7 +85,7 @@ def read_reference(inputs: Inputs, ports: StatePorts, parameters: CorrelateParam
         if not chosen.any():
             raise InvalidInput(
                 f"the region of interest '{parameters.region_of_interest}' leaves no pixel of "
-                f"{inputs.subject}, whose image has {shape[1]} x {shape[0]} px; give outlines that lie in it"
+                f"{inputs.subject}, whose image has {shape[1]} x {shape[0]} px; give outlines inside it"
             )
     return _state(inputs, ports, surface, parameters, chosen)
 

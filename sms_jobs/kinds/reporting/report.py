@@ -47,7 +47,7 @@ class PageParameters(Parameters):
         known = sorted({name for chapter in chapters() for name in chapter.also})
         for name in names:
             if name not in known:
-                raise ValueError(f"a report shows no '{name}' besides; choose among {', '.join(known)}")
+                raise ValueError(f"a report has no extra '{name}'; choose among {', '.join(known)}")
         return tuple(dict.fromkeys(names))
 
 

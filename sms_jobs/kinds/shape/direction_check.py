@@ -72,7 +72,7 @@ def check_directions(
         return
     along, were = (" and ".join(f"{degrees(one):g}" for one in some) for some in (best, told))
     raise MeasurementFailed(
-        f"the fringes of {subject} seem to run along {along} deg, not along {were} deg as is told: "
+        f"the fringes of {subject} seem to run along {along} deg, not along {were} deg as stated: "
         f"{shares[best]:.0%} of the rays meet in the volume so, and {share(told):.0%} otherwise; correct the "
         "orientations or the order of the frames"
     )

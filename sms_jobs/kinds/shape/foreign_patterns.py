@@ -46,7 +46,7 @@ def refuse_foreign_patterns(subject: Subject, measurement: Measurement, instead:
     }
     what = next((name for name, is_so in foreign.items() if is_so), None)
     if what is not None:
-        raise InvalidInput(f"the patterns of {subject} have {what}, which {instead} alone can use")
+        raise InvalidInput(f"the patterns of {subject} have {what}, which only {instead} can use")
 
 
 def offsets_of(measurement: Measurement) -> tuple[float, ...]:

@@ -91,9 +91,7 @@ class PhaseParameters(Parameters):
     @classmethod
     def _have_a_method(cls, returns: int, given: ValidationInfo) -> int:
         if returns > 1 and given.data.get("method") == UNWRAPPING:
-            raise ValueError(
-                "temporal unwrapping knows one return only; set method=fdr to tell several apart"
-            )
+            raise ValueError("temporal unwrapping finds only one return; set method=fdr to separate several")
         return returns
 
 

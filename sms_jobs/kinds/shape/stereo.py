@@ -241,7 +241,7 @@ def _seen(
     if saturated > _MOST_SATURATED:
         raise InvalidInput(
             f"{saturated:.0%} of the image of {recorded} are saturated, at {measurement.full_scale} or "
-            f"above; at most {_MOST_SATURATED:.0%} may be: record it with less light, or say its full scale"
+            f"above; at most {_MOST_SATURATED:.0%} may be: record it with less light, or give its full scale"
         )
     if float(np.ptp(measurement.texture)) == 0.0:
         raise InvalidInput(f"the image of {recorded} is blank: every pixel is {measurement.texture.flat[0]}")

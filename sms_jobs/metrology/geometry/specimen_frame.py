@@ -155,7 +155,7 @@ def frame_through(origin: Floats, x: Floats, plane: Floats, outward: Floats | No
     lengths = np.linalg.norm(along) * np.linalg.norm(aside)
     if not np.linalg.norm(normal) > _LEAST_SINE * lengths:
         raise InvalidInput(
-            "the three points lie nearly on one line, so that they tell no plane; pick the third well away "
+            "the three points lie nearly on one line and define no plane; pick the third well away "
             "from the line of the other two"
         )
     if outward is not None and normal @ outward < 0.0:
@@ -304,7 +304,7 @@ def _plane_of(moments: tuple[Floats, ...], outward: Floats) -> tuple[Floats, Flo
     middle = total / count
     spread, axes = np.linalg.eigh(squares / count - np.outer(middle, middle))
     if not spread[1] > 1e-4 * spread[2]:
-        raise InvalidInput("the region is a line, which tells no plane; choose a wider one")
+        raise InvalidInput("the region is a line, which defines no plane; choose a wider one")
     normal = axes[:, 0] if axes[:, 0] @ outward > 0.0 else -axes[:, 0]
     return middle, normal, axes[:, 1:]
 

@@ -71,7 +71,7 @@ def _corners(shape: str, words: list[str]) -> Floats:
         left, top, right, bottom = numbers
         return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     if shape != "polygon":
-        raise ValueError(f"'{' '.join(words[:4])}' stands alone; write 'rectangle' or 'polygon' before it")
+        raise ValueError(f"'{' '.join(words[:4])}' is incomplete; write 'rectangle' or 'polygon' before it")
     if len(numbers) < 6 or len(numbers) % 2:
         raise ValueError(f"a polygon has three corners or more, X Y each, and not {len(numbers)} numbers")
     return np.asarray(numbers.reshape(-1, 2))

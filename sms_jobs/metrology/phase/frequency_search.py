@@ -122,7 +122,7 @@ def find_orders(
         raise InvalidInput(
             f"fringe densities {', '.join(f'{t:g}' for t in densities)} leave two places of the projector "
             f"whose phases differ by {distance:.2g} rad, and {LEAST_DISTANCE_RAD:g} rad are needed: add a "
-            "density that tells them apart"
+            f"density that separates them"
         )
     rows, columns = frames.shape[1:]
     omega = np.empty((rows, columns))

@@ -159,11 +159,13 @@ class Address:
                 "signed"
             )
         if not _HOST.fullmatch(host):
-            raise InvalidInput(f"the webhook's host '{host[:NAME_LETTERS]}' is none; write https://HOST/PATH")
+            raise InvalidInput(
+                f"the webhook's host '{host[:NAME_LETTERS]}' is not valid; write https://HOST/PATH"
+            )
         if not (parts.scheme == "https" or (parts.scheme == "http" and _is_this_host(host))):
             raise InvalidInput(
-                f"a webhook at '{parts.scheme}://{host}' would be told in the clear; give an address that "
-                "begins with https://, or with http://127.0.0.1 on this host"
+                f"a webhook at '{parts.scheme}://{host}' would be unencrypted; give an address that "
+                f"starts with https://, or with http://127.0.0.1 on this host"
             )
         place = f"[{host}]" if ":" in host else host
         more = "/..." if parts.path.strip("/") or parts.query else ""

@@ -33,7 +33,7 @@ class NewSubscription(RequestBody):
             return Address.mail(self.mail)
         if self.webhook is not None and self.mail is None:
             return Address.webhook(self.webhook)
-        raise InvalidInput("say where to: either mail or webhook")
+        raise InvalidInput("give a target: either mail or webhook")
 
 
 @ROUTES.offer(

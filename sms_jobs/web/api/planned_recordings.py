@@ -70,10 +70,11 @@ class NewPlan(RequestBody):
         """What is waited for; raises `InvalidInput` for several things, or half of one."""
         at_load = self.channel is not None and self.at_cycles is None
         if [at_load, self.at_cycles is not None, self.every_s is not None].count(True) > 1:
-            raise InvalidInput("say one thing to wait for: every_s, at_cycles, or channel with tolerance")
+            raise InvalidInput("give one thing to wait for: every_s, at_cycles, or channel with tolerance")
         if at_load is (self.tolerance is None):
             raise InvalidInput(
-                "channel and tolerance go together, and without at_cycles: say how near the channel must be "
+                "channel and tolerance go together, and without at_cycles: state how near the channel "
+                "must be "
                 "to a state's value, such as 500N"
             )
         if self.at_cycles is not None:

@@ -37,7 +37,7 @@ class NewSchedule(NewJobs):
         forms = {"cron": self.cron, "at": self.at, "every": self.every, "after": self.after}
         given = [f"{form} {what}" for form, what in forms.items() if what is not None]
         if len(given) != 1:
-            raise InvalidInput(f"say when: one of cron, at, every and after, not {len(given)} of them")
+            raise InvalidInput(f"give a time: one of cron, at, every and after, not {len(given)} of them")
         return given[0]
 
 

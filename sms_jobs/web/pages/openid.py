@@ -49,13 +49,13 @@ def leave(request: Request, next: str = "/") -> Response:  # noqa: A002 - as the
 def come_back(request: Request, state: str = "", code: str = "", error: str = "") -> Response:
     """Begin a session for whoever comes back, and go where they wanted to go."""
     if error:
-        raise NotAllowed("the identity provider let nobody in; log in again")
+        raise NotAllowed("the identity provider refused the log-in; try again")
     try:
         kept = json.loads(urlsafe_b64decode(request.cookies[_KEPT]))
         journey, going = Journey(**kept["journey"]), here(str(kept["next"]))
     except (KeyError, ValueError, TypeError) as wrong:
         raise NotAllowed(
-            f"this browser has started no log-in within the last {_MINUTES} minutes; begin at /login"
+            f"no log-in was started in this browser within the last {_MINUTES} minutes; start at /login"
         ) from wrong
     begun = openid.complete(session.of_nobody(request), journey, state, code)
     # Not a redirect: after one that began at another site, a browser would not send the session's cookie.

@@ -61,7 +61,7 @@ def test_what_an_older_version_sealed_is_read_and_says_what_it_lacks() -> None:
     del older["estimates"]
     found = read(json.dumps(older), made)
     assert found.found == made.found
-    with pytest.raises(OtherFormat, match="the blur of C1 but in words, as an older version wrote it"):
+    with pytest.raises(OtherFormat, match="the blur of C1 only in words, as an older version wrote it"):
         found.estimate(Estimated.BLUR, "C1")
 
 

@@ -182,7 +182,7 @@ def test_more_points_near_edges(plate: Any) -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"region_of_interest": "circle 1 2 3"}, "stands alone|no number"),
+        ({"region_of_interest": "circle 1 2 3"}, "is incomplete|no number"),
         ({"region_of_interest": ["rectangle 1", "2", "3"]}, "LEFT TOP RIGHT BOTTOM"),
         ({"spacing_px": 8, "edge_spacing_px": 3}, "must divide spacing_px = 8"),
         ({"spacing_px": 16, "edge_spacing_px": 2}, "at least a quarter"),

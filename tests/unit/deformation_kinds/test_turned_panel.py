@@ -212,13 +212,13 @@ def test_shape_and_displacement_are_offered_along_the_frame(shelf: Shelf) -> Non
 
 def test_what_has_no_frame_is_refused(shelf: Shelf) -> None:
     own = with_frame(shelf, None)
-    with pytest.raises(InvalidInput, match="nobody has found the specimen's frame"):
+    with pytest.raises(InvalidInput, match="the specimen's frame of campaign .* is not set"):
         in_specimen_frame(at_rest(shelf), own.campaign)
     own.run(strain.KIND, DEFORMED, strain.KIND.parameters())
     framed = with_frame(shelf, found_by(shelf, picked(shelf))).campaign
     with pytest.raises(InvalidInput, match="degrees off the specimen's x axis"):
         in_specimen_frame(own.records["strain", DEFORMED]["strain"], framed)
-    with pytest.raises(InvalidInput, match="has nothing that lies in a frame"):
+    with pytest.raises(InvalidInput, match="has no frame"):
         in_specimen_frame(shelf.records["correlate", DEFORMED]["regions"], framed)
 
 

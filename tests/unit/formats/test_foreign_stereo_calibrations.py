@@ -308,7 +308,7 @@ REFUSALS = {
     "a comma": (caldat().replace("6600.0", "6600,0"), "should be a number, not '6600,0'"),
     "no focal length": (caldat().replace("Cam1_Fy", "Cam1_Fz"), "Fy of Cam1 of"),
     "a strange line": (caldat() + "\n<nothing>", "is no line with a name and a number"),
-    "twice in MatchID": (caldat() + "\nTx [mm];1.0", "Tx stands twice in one file"),
+    "twice in MatchID": (caldat() + "\nTx [mm];1.0", "Tx is given twice in one file"),
 }
 
 

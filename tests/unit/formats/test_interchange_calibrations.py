@@ -307,9 +307,9 @@ def test_two_files_complete_each_other_and_units_are_converted(tmp_path: Path) -
     assert found.calibration.rig.sensors[1].role is Role.PROJECTOR
     np.testing.assert_allclose(found.calibration.rig.sensors[1].pose.translation, T, rtol=1e-15)
     assert found.remarks == (f"not taken over from {inner}, {outer}: Q",)
-    with pytest.raises(ConfigurationError, match="R is missing; where it is in a second file"):
+    with pytest.raises(ConfigurationError, match="R is missing; if it is in a second file"):
         read_calibration([inner], given)
-    with pytest.raises(ConfigurationError, match=r"says again what another file says: D1, D2, M1, M2"):
+    with pytest.raises(ConfigurationError, match=r"repeats settings of another file: D1, D2, M1, M2"):
         read_calibration([inner, inner], given)
 
 
@@ -424,7 +424,7 @@ REFUSALS = {
     "time_without_zone.json": "should be a time with its zone",
     "too_few_numbers.yml": "should hold 3 x 3 numbers, but has 8",
     "twice.yml": "line 23: 'M1' stands twice in one table",
-    "words.yml": "should hold numbers alone, not 'wide'",
+    "words.yml": "should contain only numbers, not 'wide'",
 }
 
 

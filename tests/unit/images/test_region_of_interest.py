@@ -65,10 +65,10 @@ def test_any_mask_comes_back_exactly(seed: int) -> None:
         ("rectangle 9 2 3 8", "a rectangle has LEFT TOP RIGHT BOTTOM"),
         ("polygon 1 2 3 4", "three corners or more"),
         ("polygon 1 2 3 4 5 6 7", "not 7 numbers"),
-        ("circle 1 2 3", "stands alone|no number"),
+        ("circle 1 2 3", "is incomplete|no number"),
         ("polygon 1 2 3 four 5 6", "no number"),
         ("polygon 1 2 3 nan 5 6", "beyond"),
-        ("1 2 3 4", "stands alone"),
+        ("1 2 3 4", "is incomplete"),
     ],
 )
 def test_what_is_no_region_is_refused(text: str, message: str) -> None:

@@ -184,7 +184,7 @@ def test_one_camera_has_lenses_and_no_pairs(folder: Path) -> None:
     (sensor,) = found["calibration"].rig.sensors
     deviation = np.sqrt(np.diag(found["uncertainty"].covariance))
     assert abs(sensor.intrinsics.fx - LENS.fx) < 5.0 * deviation[6]
-    with pytest.raises(InvalidInput, match="one sensor, which measures no points"):
+    with pytest.raises(InvalidInput, match="one sensor, which alone measures no points"):
         measuring_pairs(found["calibration"].rig)
     # The box around all points of all boards, the first of which is the world: 50 x 40 mm of it.
     low, high = np.array(found["calibration"].volume.low), np.array(found["calibration"].volume.high)

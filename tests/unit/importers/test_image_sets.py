@@ -84,7 +84,7 @@ def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, leve
         (("--pattern", "s*.png"), r"has to have \{state\}"),
         (("--pattern", "{state}{number}.png"), r"may have \{camera\}"),
         (("--camera", "X"), "'X' is no camera"),
-        (("--reference", "99"), "no image is of the reference 99"),
+        (("--reference", "99"), "no image shows the reference 99"),
         (("--pattern", "x{state}.png"), "no file of"),
         (("--raw", "nonsense"), "described as in"),
     ],

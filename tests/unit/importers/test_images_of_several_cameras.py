@@ -137,7 +137,7 @@ def test_two_cameras_measure_together_unless_it_is_said_otherwise(home: Path, fo
     for options in (("--alone",), ("--views", "C2C1")):
         with pytest.raises(InvalidInput, match="has the views C1C2, which stay"):
             images(folder, home, "--cameras", CAMERAS, *options)
-    with pytest.raises(InvalidInput, match="takes no image of C3 by itself; its views are C1C2"):
+    with pytest.raises(InvalidInput, match="takes no separate images of C3; its views are C1C2"):
         images(folder, home, "--camera", "C3", "--pattern", "left_{state}.png")
 
 

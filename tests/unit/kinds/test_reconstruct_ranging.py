@@ -275,7 +275,7 @@ def test_a_method_says_which_sequence_it_needs() -> None:
     with pytest.raises(InvalidInput, match=r"needs the fringe densities 0, 1, 2, \.\.\. .* not \(16, 8, 1\)"):
         plate((16, 8, 1)).reconstruct(method="fdr")
     with pytest.raises(
-        InvalidInput, match=r"returns.*temporal unwrapping knows one return only; set method=fdr"
+        InvalidInput, match=r"returns.*temporal unwrapping finds only one return; set method=fdr"
     ):
         KIND.checked_parameters({"returns": "2"})
     assert KIND.checked_parameters({"method": "fdr", "returns": "2"}).model_dump()["returns"] == 2

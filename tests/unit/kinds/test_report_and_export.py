@@ -180,7 +180,7 @@ def test_a_state_has_a_report_of_its_own(run: Run) -> None:
 
 
 def test_only_what_is_known_can_be_shown_besides() -> None:
-    with pytest.raises(ValidationError, match="shows no 'moments' besides; choose among gauges"):
+    with pytest.raises(ValidationError, match="has no extra 'moments'; choose among gauges"):
         report.ReportParameters(also=("moments",))
     assert report.ReportParameters(also="gauges").also == ("gauges",)
 

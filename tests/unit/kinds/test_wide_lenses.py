@@ -70,8 +70,8 @@ def test_a_radial_term_that_a_plain_lens_lacks_is_told() -> None:
     ("said", "why"),
     [
         ({"lens": "wide"}, "there is no lens 'wide': say plain, rational, fisheye"),
-        ({"lens": "C1=plain,C1=fisheye"}, "says a lens twice"),
-        ({"fixed": "fisheye=1"}, "is said by the lens"),
+        ({"lens": "C1=plain,C1=fisheye"}, "names a lens twice"),
+        ({"fixed": "fisheye=1"}, "is set by the lens"),
     ],
 )
 def test_a_lens_that_cannot_be_is_refused(said: dict[str, str], why: str) -> None:

@@ -136,7 +136,7 @@ def test_a_stage_on_a_wire_looks_for_home_once() -> None:
 
 def test_a_pose_out_of_reach_is_told() -> None:
     far = rehearse(rig("simulated"), VIEWS, SEQUENCE, (StagePose(0.0, 2.5), None))
-    assert "the tilt axis of 'stage' is told to go to 2.5000 rad, beyond its range" in far[0].problem
+    assert "the tilt axis of 'stage' is sent to 2.5000 rad, beyond its range" in far[0].problem
     assert not far[1].problem
 
 

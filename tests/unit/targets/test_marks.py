@@ -40,5 +40,5 @@ def test_the_middle_of_a_mark_is_found_from_anywhere_within(rng: np.random.Gener
 def test_a_pixel_beside_every_mark_is_refused(rng: np.random.Generator) -> None:
     image = marked(rng, 10.0)
     for pixel in ((30.0, 200.0), (-50.0, 10.0)):
-        with pytest.raises(InvalidInput, match="lies in no round mark"):
+        with pytest.raises(InvalidInput, match="is in no round mark"):
             mark_at(image, pixel)

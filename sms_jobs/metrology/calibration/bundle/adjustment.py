@@ -175,7 +175,7 @@ def _start(problem: BundleProblem, packed: Packed, options: BundleOptions) -> _F
     if not (live.bar.any() or live.board.any()):
         raise CalibrationFailed(
             f"none of the {len(live.bar) + len(live.board)} points that were observed can be used: too few "
-            "rays meet on a sphere or a board; begin nearer, or check which sphere is which"
+            "rays meet on a sphere or a board; start nearer, or check which sphere is which"
         )
     state.sphere[~seen_sphere, :3] = np.nan
     if options.estimate_variances:

@@ -80,7 +80,7 @@ def _check_connected(problem: BundleProblem) -> None:
     if len(groups) > 1:
         parts = [", ".join(names[i] for i in sorted(g)) for g in sorted(groups, key=min)]
         raise CalibrationFailed(
-            f"{' and '.join(parts)} share no pose, so nothing tells how they stand to each other: record "
+            f"{' and '.join(parts)} share no pose, so their relative position is unknown: record "
             "poses that sensors of both see"
         )
 

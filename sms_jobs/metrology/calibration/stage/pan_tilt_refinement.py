@@ -167,7 +167,7 @@ def _solve(
 
     if 3 * np.count_nonzero(used) < 12:
         raise CalibrationFailed(
-            f"{np.count_nonzero(used)} centres of spheres cannot tell the 12 parameters of a stage; "
+            f"{np.count_nonzero(used)} centres of spheres cannot determine the 12 parameters of a stage; "
             "find both spheres in at least three poses"
         )
     _covariance(start, angles, roots, used)

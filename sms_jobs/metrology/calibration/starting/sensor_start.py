@@ -129,7 +129,7 @@ def seen_pose(intrinsics: Intrinsics, point: Floats, pixel: Floats) -> Pose:
     there = np.isfinite(flat).all(axis=1)
     if there.sum() < _FEWEST_POINTS:
         raise CalibrationFailed(
-            f"only {int(there.sum())} of {len(pixel)} points lie where the lens sees, at least "
+            f"only {int(there.sum())} of {len(pixel)} points are where the lens sees, and at least "
             f"{_FEWEST_POINTS} are needed"
         )
     rays = np.concatenate([flat[there], np.ones((int(there.sum()), 1))], axis=1)

@@ -90,7 +90,9 @@ def rigid_motion(points: Floats, displacement: Floats, variance: Floats, tiles: 
         )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not spread[1] > _THIN * spread[0]:
-        raise InvalidInput("the region is a line, which tells no turn about itself; choose a wider one")
+        raise InvalidInput(
+            "the region is a line, which does not show a turn about itself; choose a wider one"
+        )
     least = 1e-12 * float(np.median(variance)) + 1e-30
     ends, weights = points + displacement, 1.0 / np.maximum(variance, least)
     used = np.ones(len(points), dtype=bool)
