@@ -76,7 +76,7 @@ def test_a_token_opens_and_shows_nowhere(home: Path, capfd: pytest.CaptureFixtur
         vera = services.acting(people.actor_of(services, session.secret, "127.0.0.1"))
         token = people.create_token(people.confirmed(vera, SecretStr(PASSWORD)), "notebook").secret
     with serving(home) as url:
-        with pytest.raises(NotAllowed, match="nobody is logged in"):
+        with pytest.raises(NotAllowed, match="you are not logged in"):
             sms_jobs.connect(url)
         with pytest.raises(NotAllowed) as refused:
             sms_jobs.connect(url, "wrong-token")

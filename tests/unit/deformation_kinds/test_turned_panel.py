@@ -212,7 +212,7 @@ def test_shape_and_displacement_are_offered_along_the_frame(shelf: Shelf) -> Non
 
 def test_what_has_no_frame_is_refused(shelf: Shelf) -> None:
     own = with_frame(shelf, None)
-    with pytest.raises(InvalidInput, match="the specimen's frame of campaign .* is not set"):
+    with pytest.raises(InvalidInput, match=r"the specimen's frame of campaign .* is not set"):
         in_specimen_frame(at_rest(shelf), own.campaign)
     own.run(strain.KIND, DEFORMED, strain.KIND.parameters())
     framed = with_frame(shelf, found_by(shelf, picked(shelf))).campaign

@@ -130,9 +130,7 @@ def test_an_image_of_another_size_is_refused(video: str) -> None:
 def test_an_exposure_that_cannot_be_set_is_refused(video: str) -> None:
     with pytest.raises(DeviceFault, match="captured by FFMPEG, which has no exposure in ms"):
         opened(replace(SETTINGS, source=video, exposure_ms=20.0))
-    with pytest.raises(
-        DeviceFault, match="is to expose 4 times as long as usual, and its rig file says noth"
-    ):
+    with pytest.raises(DeviceFault, match="is to expose 4 times as long as usual, and its rig file has no"):
         opened(replace(SETTINGS, source=video)).arm(4.0)
 
 

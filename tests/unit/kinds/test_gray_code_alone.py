@@ -115,7 +115,7 @@ def test_frames_in_another_order_are_refused_by_name(
 ) -> None:
     calibration, measurement, _ = coded(GrayCode(7, (128.0,), threshold))
     frames = change(measurement.frames.rows(0, 128))
-    with pytest.raises(MeasurementFailed, match="are not what is told of them") as said:
+    with pytest.raises(MeasurementFailed, match="are not what they are said to be") as said:
         reconstructed(calibration, replace(measurement, frames=ArrayStack(frames)))
     assert told in str(said.value)
 

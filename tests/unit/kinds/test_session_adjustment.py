@@ -99,7 +99,7 @@ def test_a_session_on_site_keeps_the_pitch_that_was_found() -> None:
     assert start_from_last(first["calibration"], None, None, seen).pitch == {}
     # What an older version has sealed tells it in a sentence, which is for people.
     older = replace(quality, estimates=None)
-    with pytest.raises(OtherFormat, match=r"the pitch scale of board but in words.*: calibrate its session"):
+    with pytest.raises(OtherFormat, match=r"the pitch scale of board only in words.*: calibrate its session"):
         start_from_last(first["calibration"], first["uncertainty"], older, seen)
 
 
