@@ -46,7 +46,7 @@ def subscriptions(services: Acting) -> Any:
 
 @ROUTES.offer("POST", "/notifications", notifications.add, answers=dict[str, str | int | None], status=201)
 def add(services: Acting, body: NewSubscription) -> Any:
-    """Tell somebody what happens; the secret of a webhook is told this once."""
+    """Subscribe someone to events; the secret of a webhook is shown only once."""
     address = body.address
     secret = notifications.add(services, body.name, address, body.topics)
     shown = None if secret is None else secret.get_secret_value()
@@ -67,6 +67,6 @@ def test(services: Acting, name: Name) -> Any:
 
 @ROUTES.offer("DELETE", "/notifications/{name}", notifications.remove, answers=dict[str, str | int])
 def remove(services: Acting, name: Name) -> Any:
-    """Tell somebody nothing more."""
+    """Remove a subscription."""
     notifications.remove(services, name)
     return answer({"removed": name})
