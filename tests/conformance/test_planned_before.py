@@ -91,7 +91,7 @@ def test_a_campaign_that_was_changed_is_planned_again(catalogue: Catalogue) -> N
         row = campaigns.campaign_row(session, "plate")
         record = campaigns.definition(row)
         campaigns.define(row, replace(record, states=record.states[:1]))
-    with pytest.raises(PlanOutdated, match="was changed by somebody else"):
+    with pytest.raises(PlanOutdated, match="was changed by someone else"):
         entered(catalogue, planned)
     done = submit_to(catalogue, "plate", [Request("simulate")], LATER)
     assert len(done.job_ids) == 1

@@ -210,7 +210,7 @@ def test_a_campaign_changes_by_states_and_readings_alone(run: Import, tmp_path: 
             amend_campaign(services.catalogue, services.archive, before, replace(before, rig="other"), AT)
         after = with_states(before, ["S01", "S02", "S00"])
         assert [s.label for s in after.states] == ["S00", "S01", "S02"]
-        with pytest.raises(Conflict, match="by somebody else"):
+        with pytest.raises(Conflict, match="by someone else"):
             amend_campaign(services.catalogue, services.archive, after, after, AT)
         assert sorted(services.archive.files()) == files
         amend_campaign(services.catalogue, services.archive, before, after, AT)

@@ -131,7 +131,7 @@ def test_exchanged_directions_are_refused() -> None:
 def test_what_needs_fringes_is_refused() -> None:
     calibration, measurement, _ = coded(GrayCode(5, (32.0,)))
     for parameters in ({"method": "fdr"}, {"response": "measured"}):
-        with pytest.raises(InvalidInput, match="have a Gray code, which method=temporal-unwrapping"):
+        with pytest.raises(InvalidInput, match="have a Gray code, which only method=temporal-unwrapping"):
             reconstructed(calibration, measurement, **parameters)
     with pytest.raises(InvalidInput, match="needs the inverse of each pattern, or white and black"):
         FringeSequence((), gray=GrayCode(5, (32.0,), "fringes"))
