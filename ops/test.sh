@@ -59,6 +59,9 @@ do_without_browser
 start_servers
 say "== servers: $SMS_TEST_POSTGRESQL_URL and $SMS_TEST_REDIS_URL"
 export CI="${CI:-true}"
+# As in a worker's processes: libraries that spread small matrices over every core spend more on waiting for each
+# other than on what they compute, since other tests run on the same cores.
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENCV_FOR_THREADS_NUM=1
 if [ $# = 0 ]; then
     step "kernels" wait $ranging $others
     # Two processes more than cores, since tests of the service wait a good part of their time. A file's tests stay
