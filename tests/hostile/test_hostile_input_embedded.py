@@ -9,7 +9,7 @@ from support.hostile import LONG_BATCHES, SHORT_BATCHES, assert_well
 
 
 def test_hostile_input_on_sqlite(tmp_path: Path) -> None:
-    assert_well(tmp_path, "embedded", SHORT_BATCHES)
+    assert_well(tmp_path, "embedded", SHORT_BATCHES["embedded"])
 
 
 @pytest.mark.long

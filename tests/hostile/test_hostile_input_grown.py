@@ -10,7 +10,7 @@ from support.hostile import LONG_BATCHES, SHORT_BATCHES, assert_well
 
 @pytest.mark.postgresql
 def test_hostile_input_on_postgresql(tmp_path: Path, postgresql_url: str) -> None:
-    assert_well(tmp_path, "grown", SHORT_BATCHES)
+    assert_well(tmp_path, "grown", SHORT_BATCHES["grown"])
 
 
 @pytest.mark.long
