@@ -24,7 +24,6 @@ from sms_jobs.catalogue.tables.people import AuditRow
 from sms_jobs.records.job import JobState
 from sms_jobs.records.people import Actor, Role
 
-LINKS, EVENTS = 4_000, 6_000
 ANNA = Actor("anna", Role.METROLOGIST, "web", "10.0.0.7", reason="as agreed, äöü")
 LINK, EVENT = AuditRow.__table__, EventRow.__table__
 
@@ -46,14 +45,21 @@ def add_events(session: Session, jobs: tuple[str, ...], count: int) -> None:
     session.execute(insert(EventRow), rows)
 
 
+@pytest.fixture(params=[1_500, pytest.param(10_000, marks=pytest.mark.long)])
+def many(request: pytest.FixtureRequest) -> tuple[int, int]:
+    """How many links and events there are."""
+    return 2 * request.param // 5, 3 * request.param // 5
+
+
 @pytest.fixture
-def filled(catalogue: Catalogue) -> Catalogue:
-    """A catalogue with 10,000 links and sealed events; a seal is the last of them."""
+def filled(catalogue: Catalogue, many: tuple[int, int]) -> Catalogue:
+    """A catalogue with many links and sealed events; a seal is the last of them."""
+    links, events = many
     jobs = submit_pipeline(catalogue)
     with catalogue.writing() as session:
         for _ in range(10):
-            add_links(session, LINKS // 10)
-            add_events(session, jobs, EVENTS // 10)
+            add_links(session, links // 10)
+            add_events(session, jobs, events // 10)
             audit.seal_events(session, NOW)
     return catalogue
 
@@ -149,12 +155,13 @@ def exchanges(session: Session, chance: random.Random) -> list[tuple[str, Callab
     return found
 
 
-def test_whatever_is_changed_among_ten_thousand_is_found(filled: Catalogue) -> None:
+def test_whatever_is_changed_among_many_is_found(filled: Catalogue, many: tuple[int, int]) -> None:
+    links, events = many
     chance = random.Random(20_031)
     missed = []
     with filled.writing() as session:
         assert list(audit.breaks(session)) == []
-        assert audit.extent(session) == (LINKS + 10, EVENTS + JOBS)
+        assert audit.extent(session) == (links + 10, events + JOBS)
         tried = [one for some in (edits, deletions, insertions, exchanges) for one in some(session, chance)]
         assert len(tried) > 30
         for what, tamper in tried:
