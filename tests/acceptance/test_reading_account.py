@@ -23,10 +23,11 @@ trial.load_everything()  # while the interpreter's own folder can be read
 from sms_jobs.cli import output
 if os.geteuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)
-for words in json.loads(sys.argv[1]):
+for line in sys.stdin:
     child = os.fork()
     if child == 0:
-        sys.argv = ["sms", *words]
+        sys.argv = ["sms", *json.loads(line)]
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         try:
             entry.main()
         finally:
@@ -50,19 +51,48 @@ def read_only(folder: Path) -> None:
     folder.chmod(0o555)
 
 
-def answers(home: Path, commands: list[list[str]]) -> list[str]:
-    words = [[*command, "--home", str(home)] for command in commands]
-    done = subprocess.run(
-        [sys.executable, "-c", AS_ANOTHER, json.dumps(words)],
-        capture_output=True,
-        text=True,
-        env={k: v for k, v in os.environ.items() if not k.startswith("SMS_")}
-        | {"PYTHONDONTWRITEBYTECODE": "1"},
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return [*done.stdout.splitlines(), done.stderr]
+class Reader:
+    """A process of the other account, which has loaded all that commands need, and forks for each."""
+
+    def __init__(self, process: subprocess.Popen[str], complaints: Path) -> None:
+        self._process = process
+        self._complaints = complaints
+
+    def answers(self, home: Path, *commands: list[str]) -> list[str]:
+        """Return the lines that commands print, an exit code after each, and last what they complain of."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        before, told = self._complaints.stat().st_size, list[str]()
+        for command in commands:
+            self._process.stdin.write(json.dumps([*command, "--home", str(home)]) + "\n")
+            self._process.stdin.flush()
+            for line in self._process.stdout:
+                told.append(line.rstrip("\n"))
+                if line.startswith('{"code"'):
+                    break
+        assert self._process.poll() is None, self._complaints.read_text()
+        return [*told, self._complaints.read_bytes()[before:].decode()]
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Reader]:
+    complaints = tmp_path_factory.mktemp("reader") / "complaints.log"
+    own = {k: v for k, v in os.environ.items() if not k.startswith("SMS_")} | {"PYTHONDONTWRITEBYTECODE": "1"}
+    with (
+        complaints.open("w") as log,
+        subprocess.Popen(
+            [sys.executable, "-c", AS_ANOTHER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env=own,
+        ) as process,
+    ):
+        try:
+            yield Reader(process, complaints)
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -79,24 +109,24 @@ def home() -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("open_elsewhere", [False, True])
-def test_who_may_only_read_can_read(home: Path, open_elsewhere: bool) -> None:
+def test_who_may_only_read_can_read(home: Path, reader: Reader, open_elsewhere: bool) -> None:
     if open_elsewhere:
         with bootstrap.services(home) as services, services.catalogue.writing() as session:
             session.connection()
             read_only(home)
-            told = answers(home, list(READING))
+            told = reader.answers(home, *READING)
     else:
         read_only(home)
-        told = answers(home, list(READING))
+        told = reader.answers(home, *READING)
     assert told.count('{"code": 0}') == len(READING), told
     assert any("plate" in line for line in told)
 
 
 @pytest.mark.parametrize("command", [["queue", "pause", "cpu"], ["up"]], ids=" ".join)
-def test_who_may_only_read_is_told_so(home: Path, command: list[str]) -> None:
+def test_who_may_only_read_is_told_so(home: Path, reader: Reader, command: list[str]) -> None:
     (home / "messages" / "queue").mkdir(parents=True, exist_ok=True)
     (home / "messages" / "control").mkdir(exist_ok=True)
     read_only(home)
-    told = answers(home, [command])
+    told = reader.answers(home, command)
     assert '{"code": 4}' in told
     assert "may only read the catalogue" in told[-1]

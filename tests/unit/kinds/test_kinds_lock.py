@@ -24,15 +24,19 @@ def graph(lock: Any) -> Any:
     return lock.grimp.build_graph("sms_jobs")
 
 
-def test_every_kind_is_noted_as_it_is(lock: Any) -> None:
-    assert lock.complaints(lock.found(), lock.locked()) == []
+@pytest.fixture(scope="module")
+def found(lock: Any) -> Any:
+    return lock.found()
 
 
-def test_recordings_are_never_reused_and_have_no_line(lock: Any) -> None:
+def test_every_kind_is_noted_as_it_is(lock: Any, found: Any) -> None:
+    assert lock.complaints(found, lock.locked()) == []
+
+
+def test_recordings_are_never_reused_and_have_no_line(found: Any) -> None:
     # A new camera or trigger box asks for no decision.
-    noted = lock.found()
-    assert noted.keys() == all_kinds().keys() - {"acquire", "stream"}
-    assert "simulate" in noted
+    assert found.keys() == all_kinds().keys() - {"acquire", "stream"}
+    assert "simulate" in found
 
 
 def test_a_digest_covers_all_that_numbers_come_from_and_no_more(lock: Any, graph: Any) -> None:
