@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import Table, delete, func, insert, select, text, update
 from sqlalchemy.orm import Session
 from support.command import answer, service
-from support.deployments import Deployment
+from support.deployments import Deployment, mainly
 from support.homes import make_home
 from support.jobs import JOBS, NOW, submit_pipeline
 
@@ -277,6 +277,7 @@ def test_an_event_that_is_committed_while_others_are_sealed_is_left_for_later(ca
         assert list(audit.breaks(session)) == []
 
 
+@pytest.mark.parametrize("deployment", mainly("grown"), indirect=True)
 def test_the_service_seals_what_happens_to_jobs(deployment: Deployment) -> None:
     make_home(deployment.home, deployment.environment)
     words = ["job", "submit", "simulate", "-c", "plate", "--wait", "--home", str(deployment.home)]

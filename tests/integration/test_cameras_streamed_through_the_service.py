@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from support.command import answer, service, sms, wait_until
+from support.command import answer, inside, service, wait_until
+from support.deployments import mainly
 
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaigns
@@ -45,7 +46,7 @@ stale_after_s = 10.0
 NEEDS_OPERATOR = 5
 
 
-@pytest.fixture(params=["embedded", "grown"])
+@pytest.fixture
 def environment(request: pytest.FixtureRequest) -> dict[str, str]:
     """Settings of either deployment."""
     own = {"SMS_WORKERS": "1", "SMS_THREADS": "1"}
@@ -136,6 +137,7 @@ def measured(home: Path) -> dict[str, tuple[Measurement, Recording, dict[str, An
     return found
 
 
+@pytest.mark.parametrize("environment", mainly("embedded"), indirect=True)
 @pytest.mark.parametrize("side", [1024])
 def test_frames_become_states_with_their_loads(home: Path, side: int) -> None:
     with load_frame(home, lambda t: 2.0 * t) as written, service(home):
@@ -172,6 +174,7 @@ def test_frames_become_states_with_their_loads(home: Path, side: int) -> None:
     assert not any((home / "spool").iterdir())
 
 
+@pytest.mark.parametrize("environment", mainly("grown"), indirect=True)
 def test_what_is_before_and_after_an_event_is_kept(home: Path) -> None:
     dropped = threading.Event()
     words = ("acquire", "stream", "pair", "--rate", "4Hz", "--before", "2s", "--after", "1s")
@@ -184,11 +187,11 @@ def test_what_is_before_and_after_an_event_is_kept(home: Path) -> None:
         dropped.set()
         run(home, "job", "wait", job)
         kept = measured(home)
-        missed = sms(*words, "--for", "1s", "--around", "load_n > 50kN", "--home", str(home))
+        missed = inside(*words, "--for", "1s", "--around", "load_n > 50kN", "--home", str(home))
         assert missed.returncode == NEEDS_OPERATOR
         assert "load_n > 50 kN did not come within 1 s, and no frame was kept" in missed.stderr
         (waiting,) = run(home, "acquire", "list")
-        assert sms("acquire", "abort", waiting["job_id"], "--home", str(home)).returncode == 0
+        assert inside("acquire", "abort", waiting["job_id"], "--home", str(home)).returncode == 0
         assert run(home, "acquire", "list") == []
     assert len(measured(home)) == len(kept)
     since = np.array(
@@ -208,6 +211,7 @@ def test_what_is_before_and_after_an_event_is_kept(home: Path) -> None:
     assert all(one.channels_after == {} for _, one, _ in kept.values())
 
 
+@pytest.mark.parametrize("environment", mainly("embedded"), indirect=True)
 def test_the_pipeline_runs_on_frames_as_on_any_states(home: Path) -> None:
     with load_frame(home, lambda t: t), service(home):
         done = run(home, "acquire", "stream", "pair", "--rate", "2Hz", "--for", "1500ms", "--process")
@@ -223,6 +227,7 @@ def test_the_pipeline_runs_on_frames_as_on_any_states(home: Path) -> None:
     assert loads[0] > 1000.0
 
 
+@pytest.mark.parametrize("environment", mainly("grown"), indirect=True)
 def test_what_has_reached_the_spool_is_recovered_after_a_kill(home: Path) -> None:
     command = ("acquire", "stream", "pair", "--rate", "4Hz", "--for", "5min", "--no-wait")
     with load_frame(home, lambda t: t):
