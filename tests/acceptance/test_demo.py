@@ -8,7 +8,7 @@ from typing import Any
 import nbformat
 import pytest
 from nbclient import NotebookClient
-from support.command import answer, sms
+from support.command import answer, inside
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -84,7 +84,7 @@ def test_the_archive_can_be_asked_afterwards(first: Any, folder: Path, tmp_path:
     sources = str(ancestors)
     assert all(source in sources for source in ("correlate", "reconstruct", "measurement", "calibration"))
     picture = tmp_path / "strain.png"
-    done = sms(
+    done = inside(
         "data", "plot", str(strain["id"]), "--field", "strain", "--component", "xx", "-o", str(picture), *home
     )
     assert done.returncode == 0, done.stderr

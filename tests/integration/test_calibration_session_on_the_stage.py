@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 from support.calibration_sessions import point_errors
-from support.command import SMS, answer, service, sms
+from support.command import SMS, answer, inside, service
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
@@ -137,8 +137,8 @@ def home(tmp_path: Path, plan: Plan) -> Path:
     session = recipe(calibration_session("table-3", "small"), plan)
     for name, text in (("rig.toml", RIG.replace("#SENSORS", plan.sensors)), ("session.toml", session)):
         (home / name).write_text(text)
-    assert sms("rig", "add", str(home / "rig.toml"), "--home", str(home)).returncode == 0
-    made = sms("campaign", "create", str(home / "session.toml"), "--home", str(home))
+    assert inside("rig", "add", str(home / "rig.toml"), "--home", str(home)).returncode == 0
+    made = inside("campaign", "create", str(home / "session.toml"), "--home", str(home))
     assert made.returncode == 0, made.stderr
     return home
 

@@ -11,7 +11,7 @@ import meshio
 import numpy as np
 import pytest
 from PIL import Image
-from support.command import answer, service, sms
+from support.command import answer, inside, service
 
 from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.metrology.arrays import Floats
@@ -71,7 +71,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     folder = home.parent / "images"
     write_images(folder)
     at = ("--home", str(home))
-    assert sms("init", *at).returncode == 0
+    assert inside("init", *at).returncode == 0
     said: dict[str, Any] = {
         "images": answer("import", "images", str(folder), "-c", "coupon", "--yes", *at),
         "loads": answer(
@@ -197,7 +197,7 @@ def test_the_report_shows_it(done: tuple[Path, dict[str, Any]], tmp_path: Path) 
 
 def test_what_a_camera_alone_cannot_do_is_said(done: tuple[Path, dict[str, Any]]) -> None:
     home, _ = done
-    refused = sms("job", "submit", "reconstruct", "-c", "coupon", "--home", str(home))
+    refused = inside("job", "submit", "reconstruct", "-c", "coupon", "--home", str(home))
     assert refused.returncode == USAGE
     told = " ".join(refused.stderr.split())
     assert "measured by C1 without a projector" in told

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.command import answer, service, sms
+from support.command import answer, inside, service
 from support.homes import make_home
 
 
@@ -53,7 +53,7 @@ def test_a_failed_job_says_why_and_the_rest_goes_on(plate: Path) -> None:
         path = plate / "archive" / damaged["path"]
         path.write_bytes(path.read_bytes()[:5000])
         jobs = run(plate, "job", "submit", "pipeline", "-c", "plate")["jobs"]
-        done = sms("job", "wait", *jobs, "--home", str(plate))
+        done = inside("job", "wait", *jobs, "--home", str(plate))
     assert done.returncode == 5
     assert "reconstruct plate/S01/C1P1" in done.stderr
     assert done.stderr.count("\n") <= 2
@@ -67,7 +67,7 @@ def test_a_job_that_finds_nothing_says_so(plate: Path) -> None:
     blind = ("--set", "reconstruct.minimum_modulation_to_noise=1e6", "--state", "S00", "--view", "C1P1")
     with service(plate):
         run(plate, "job", "wait", *run(plate, "job", "submit", "simulate", "-c", "plate")["jobs"])
-        done = sms("job", "submit", "reconstruct", "-c", "plate", *blind, "--wait", "--home", str(plate))
+        done = inside("job", "submit", "reconstruct", "-c", "plate", *blind, "--wait", "--home", str(plate))
         again = run(plate, "job", "submit", "reconstruct", "-c", "plate", *blind)["jobs"]
         waited = run(plate, "job", "wait", *again)
     assert done.returncode == 0

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from support.command import answer, service, sms
+from support.command import answer, inside, service
 from support.sessions import small_session
 
 from sms_jobs import bootstrap
@@ -28,7 +28,7 @@ CERTIFICATES = (
 def tested(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Plan, record and measure a test of the small session's rig; return the home."""
     home = tmp_path_factory.mktemp("tested")
-    assert sms("init", "--home", str(home)).returncode == 0
+    assert inside("init", "--home", str(home)).returncode == 0
     session = small_session("session")
     assert session.scene is not None
     assert session.session is not None
@@ -57,7 +57,7 @@ def test_the_page_says_what_is_decided(tested: Path, tmp_path: Path) -> None:
     out = tmp_path / "check.html"
     report = ("calibration", "test", "report", "check-bar", "check-plate", "--home", str(tested))
     wide = ("--limit", "sphere-distance=0.1", "--limit", "flatness=0.5", "--limit", "probing-form=0.5")
-    done = sms(*report, *wide, "-o", str(out))
+    done = inside(*report, *wide, "-o", str(out))
     assert done.returncode == 0, done.stderr
     assert "conform" in done.stdout
     page = out.read_text(encoding="utf-8")
@@ -74,11 +74,11 @@ def test_the_page_says_what_is_decided(tested: Path, tmp_path: Path) -> None:
 def test_limits_decide(tested: Path) -> None:
     report = ("calibration", "test", "report", "check-bar", "--home", str(tested))
     # Spans of noise are tens of micrometres: not within one.
-    refused = sms(*report, "--limit", "probing-form=0.001", "--json")
+    refused = inside(*report, "--limit", "probing-form=0.001", "--json")
     assert refused.returncode == FINDINGS
     assert json.loads(refused.stdout)["whole"]["decision"] == "not conform"
     # What was not measured at all has no value, and so is undecided.
-    open_ = sms(*report, "--limit", "flatness=0.5", "--json")
+    open_ = inside(*report, "--limit", "flatness=0.5", "--json")
     assert open_.returncode == FINDINGS
     assert json.loads(open_.stdout)["whole"]["decision"] == "undecided"
 
@@ -95,6 +95,6 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
         ((*plan, "--name", "none"), USAGE, "a test needs an artefact"),
         ((*plan, "--name", "odd", "--bar", "900"), USAGE, "--bar takes two numbers in mm"),
     ):
-        done = sms(*words)
+        done = inside(*words)
         assert done.returncode == code, (words, done.stderr)
         assert why in " ".join(done.stderr.split())

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.command import answer, service, sms
+from support.command import answer, inside, service
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
@@ -105,7 +105,7 @@ def test_a_campaign_of_two_cameras_is_recorded_and_its_shape_computed(home: Path
 def test_what_breaks_off_between_cameras_goes_on_with_both(home: Path) -> None:
     connect(home, UNPLUGGED)
     with service(home):
-        done = sms("acquire", "run", "pair", "--state", "S01", "--json", "--home", str(home))
+        done = inside("acquire", "run", "pair", "--state", "S01", "--json", "--home", str(home))
         assert done.returncode == NEEDS_OPERATOR
         assert "camera C2 does not answer; check its cable" in done.stderr
         (waiting,) = run(home, "acquire", "list")
@@ -116,7 +116,7 @@ def test_what_breaks_off_between_cameras_goes_on_with_both(home: Path) -> None:
             home, "job", "submit", "acquire", "-c", "pair", "--state", "S02",
             "--set", "recordings=1", "--set", "doubtful=ask",
         )["jobs"][0]  # fmt: skip
-        sms("job", "wait", job, "--home", str(home))
+        inside("job", "wait", job, "--home", str(home))
         (asked,) = run(home, "acquire", "list")
         assert asked["finished"] == ["C1", "C2"]
         assert asked["doubts"] == ["C2: 100% of the lit region is saturated, allowed is 2%"]
@@ -132,6 +132,6 @@ def test_what_breaks_off_between_cameras_goes_on_with_both(home: Path) -> None:
 
 def test_a_rig_that_lacks_a_camera_records_nothing(home: Path) -> None:
     connect(home, "\n".join(line for line in RIG.splitlines() if '"C2"' not in line))
-    told = sms("acquire", "run", "pair", "--dry-run", "--home", str(home))
+    told = inside("acquire", "run", "pair", "--dry-run", "--home", str(home))
     assert told.returncode == FINDINGS
     assert "the file of rig pair has no C2; it has C1" in " ".join(told.stderr.split())

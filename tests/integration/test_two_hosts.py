@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import pytest
 from sqlalchemy import select
-from support.command import answer, service, sms, wait_until
+from support.command import answer, inside, service, wait_until
 from support.homes import make_home
 
 from sms_jobs import bootstrap
@@ -54,13 +54,13 @@ class Host:
         return answer(*arguments, "--home", str(self.home), environment=self.environment)
 
     def say(self, *arguments: str) -> str:
-        done = sms(*arguments, "--home", str(self.home), environment=self.environment)
+        done = inside(*arguments, "--home", str(self.home), environment=self.environment)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
     def drain(self, worker: str) -> datetime:
         """Drain a worker, whichever host it is on; return when that was done."""
-        done = sms("worker", "drain", worker, "--home", str(self.home), environment=self.environment)
+        done = inside("worker", "drain", worker, "--home", str(self.home), environment=self.environment)
         assert done.returncode == 0, done.stderr
         return datetime.now(UTC)
 

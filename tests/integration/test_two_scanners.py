@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.command import SMS, answer, service, sms, wait_until
+from support.command import SMS, answer, inside, service, wait_until
 from support.spools import complete_frames
 
 from sms_jobs import bootstrap
@@ -53,7 +53,7 @@ class Scanner:
         self.address = "127.0.0.1:0"
         bootstrap.initialise(home)
         (home / "scanner.toml").write_text(SCANNER.format(n=number))
-        assert sms("rig", "add", str(home / "scanner.toml"), "--home", str(home)).returncode == 0
+        assert inside("rig", "add", str(home / "scanner.toml"), "--home", str(home)).returncode == 0
         self.start()
 
     def start(self) -> None:
@@ -111,7 +111,7 @@ def home(tmp_path: Path, scanners: tuple[Scanner, Scanner], campaign: Campaign) 
         register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
     one, two = (LENT.format(server=s.address, key=s.key) for s in scanners)
     (home / "hall.toml").write_text(CLIENT.format(one=one, two=two))
-    assert sms("rig", "add", str(home / "hall.toml"), "--home", str(home)).returncode == 0
+    assert inside("rig", "add", str(home / "hall.toml"), "--home", str(home)).returncode == 0
     return home
 
 

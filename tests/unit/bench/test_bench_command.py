@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from support.command import answer, sms
+from support.command import answer, inside
 
 
 def test_bench_prints_one_object_for_programs() -> None:
@@ -18,7 +18,7 @@ def test_bench_prints_one_object_for_programs() -> None:
 
 def test_what_does_not_exist_is_refused_before_anything_is_measured() -> None:
     for command, words in (("bench", "no benchmark 'speed'"), ("study", "no study 'speed'")):
-        done = sms(command, "speed")
+        done = inside(command, "speed")
         assert done.returncode == 2
         assert words in done.stderr
         assert done.stdout == ""
@@ -28,4 +28,4 @@ def test_studies_are_listed() -> None:
     assert {"table-6", "ranging-bound", "two-returns", "plate-mirror"} <= answer("study", "list")[
         "studies"
     ].keys()
-    assert "Table 6" in sms("study", "list").stdout
+    assert "Table 6" in inside("study", "list").stdout
