@@ -14,10 +14,12 @@ import signal
 import sys
 from contextlib import suppress
 
-from sms_jobs.kinds import all_kinds
-from sms_jobs.workers import place, preparation
-from sms_jobs.workers.board import NURSERY, Board, place_line
-from sms_jobs.workers.tasks import app
+gc.disable()  # what is loaded stays: to look through it for garbage again and again is a tenth of loading it
+
+from sms_jobs.kinds import all_kinds  # noqa: E402
+from sms_jobs.workers import place, preparation  # noqa: E402
+from sms_jobs.workers.board import NURSERY, Board, place_line  # noqa: E402
+from sms_jobs.workers.tasks import app  # noqa: E402
 
 _BEAT_EVERY_S = 1.0
 
@@ -33,6 +35,7 @@ def main() -> None:
     # What is there now is shared by all places for as long as no collection touches it.
     gc.collect()
     gc.freeze()
+    gc.enable()
     wishes = sys.stdin.fileno()
     preparation.start(lifeline, wishes)
     board = Board(board_descriptor)
