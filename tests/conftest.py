@@ -10,6 +10,7 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 import hypothesis
@@ -19,6 +20,7 @@ import redis
 import sqlalchemy
 from argon2 import PasswordHasher
 from support import catalogues
+from xdist.scheduler import LoadFileScheduling
 
 # Deadlines would time the tests on a busy machine; fixed seeds make a failure repeat itself.
 hypothesis.settings.register_profile("sms", deadline=None, derandomize=True, print_blob=True)
@@ -35,6 +37,24 @@ def pytest_collection_finish() -> None:
     gc.enable()
     gc.collect()
     gc.freeze()
+
+
+SHARING = ("test_calibrate_kinds", "test_observe_bar", "test_observe_board", "test_session_adjustment")
+"""Files whose tests begin with the same rendered session, which takes ten seconds to make."""
+
+
+class _Together(LoadFileScheduling):
+    """Keeps the tests of a file in one process, and so those of files that share what is costly to make."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = super()._split_scope(nodeid)
+        return "sharing" if Path(file).stem in SHARING else file
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Distribute files as `--dist loadfile` does."""
+    return _Together(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 def _server(variable: str, what: str) -> str:
