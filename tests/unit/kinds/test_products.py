@@ -30,7 +30,8 @@ def test_kinds_give_and_take_what_is_listed_there() -> None:
 
 
 def test_a_record_is_read_where_a_file_has_it() -> None:
-    surface, merged = object(), object()
+    # Nothing is asked of them but that they are of their sort, and the same.
+    surface, merged = (object.__new__(product.record) for product in (SURFACE, MERGED))
     dataset = InMemory(Subject("wing", "S01"), {"surface": surface, "merged_C1": merged})
     assert SURFACE.read(dataset) is surface
     assert [one.read(dataset) for one in MERGED.among(dataset.names)] == [merged]
