@@ -8,9 +8,9 @@ from sms_jobs.bench.hostile.campaign import Deployment, tried
 from sms_jobs.bench.hostile.trial import BATCH
 from sms_jobs.bench.promises.hostile import SEED
 
-SHORT_BATCHES: dict[Deployment, range] = {"embedded": range(8), "grown": range(8, 16)}
+SHORT_BATCHES: dict[Deployment, range] = {"embedded": range(20), "grown": range(20, 40)}
 LONG_BATCHES = range(500)
-"""Of both databases together 800 tries, no two alike, and 50,000; `sms bench promises` makes 2,000."""
+"""Of both databases together 2,000 tries, no two alike, and 50,000; `sms bench promises` makes 2,000."""
 
 
 def assert_well(folder: Path, deployment: Deployment, batches: range) -> None:
