@@ -192,7 +192,7 @@ def test_a_kept_run_is_not_removed_and_takes_no_more(compared: Services) -> None
     with pytest.raises(Conflict, match="takes no more jobs"):
         jobs.submit(compared, work("wider"))
     assert (jobs.remaining(compared).active, len(jobs.list_jobs(compared))) == before
-    with pytest.raises(Conflict, match="kept already"):
+    with pytest.raises(Conflict, match="already kept"):
         runs.keep(compared, "wider", "")
     runs.drop(compared, "wider")
     assert removable(compared) == older
