@@ -72,7 +72,7 @@ def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, leve
     save(tmp_path / "test" / "C1", levels[2:3, :9], "s{}.png", first=2)
     whole = (tmp_path / "test" / "C2" / "s1.png").read_bytes()
     (tmp_path / "test" / "C2" / "s1.png").write_bytes(whole[:-30])
-    told = images(tmp_path / "test", home, "--pattern", "{camera}/s{state}.png", code=6)
+    told = images(tmp_path / "test", home, "--alone", "--pattern", "{camera}/s{state}.png", code=6)
     refused = [(s, c) for s, c, outcome in outcomes(told) if outcome == "refused"]
     assert refused == [("1", "C2"), ("2", "C1")]
     assert "20 x 9 px and the others of C1 20 x 16 px" in told["tuples"][4]["detail"]
