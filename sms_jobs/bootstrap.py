@@ -82,7 +82,7 @@ def initialise(home: Path | None = None, environment_file: Path | None = None) -
     except OSError as error:
         raise ConfigurationError(
             f"the home {settings.home} cannot be made: {error.strerror}: {error.filename}; "
-            "choose another home"
+            "choose another `home`"
         ) from error
     named = settings_file.load(settings.home).environment_file
     if named != settings.environment_file:

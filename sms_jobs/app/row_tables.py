@@ -37,7 +37,7 @@ def write_parquet(path: Path, columns: Sequence[str], rows: Iterable[Sequence[An
     except ImportError as error:
         raise ConfigurationError(
             "Parquet files need a package that is not installed: run \"pip install 'sms-jobs[parquet]'\", "
-            "or choose the format csv"
+            "or choose the `format` csv"
         ) from error
     table = list(rows)
     cells = [[row[place] for row in table] for place in range(len(columns))]

@@ -38,7 +38,7 @@ def check_new_file(out: Path, force: bool, endings: tuple[str, ...] = ()) -> Non
     except ValueError as error:
         raise InvalidInput(f"'{out}' cannot be the name of a file: {error}") from error
     if there and not force:
-        raise Conflict(f"{out} already exists; give another name, or set force to replace it")
+        raise Conflict(f"{out} already exists; give another name, or set `force` to replace it")
 
 
 @contextmanager

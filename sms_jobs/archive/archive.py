@@ -307,7 +307,7 @@ class Archive:
         """
         if self.has(path):
             return
-        advice = "import again without link"
+        advice = "import again without `link`"
         if link:
             self._require_links(advice)
         with self.store.create(path, _ADOPTED) as file, source.local(path) as original:
@@ -322,7 +322,7 @@ class Archive:
         InvalidInput
             It is to be linked instead of copied, and cannot be.
         """
-        advice = "export again without link"
+        advice = "export again without `link`"
         if link:
             self._require_links(advice)
         with self.local(path) as original:

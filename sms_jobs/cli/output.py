@@ -60,6 +60,15 @@ _LONGEST_REFUSAL = 2_000
 _ESCAPED = re.compile("[\x7f-\x9f\ud800-\udfff\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
+_PARAMETER = re.compile("`([a-z][a-z_]*)`")
+"""How messages of use cases name a parameter; the command line calls it by its option."""
+
+
+def with_options(text: str) -> str:
+    """Return a message of a use case with the options of parameters in place of their names."""
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), text)
+
+
 def print_json(value: dict[str, Any]) -> None:
     """Print one JSON object on one line, with its schema version."""
     print_line({"schema": SCHEMA} | value)
@@ -113,11 +122,12 @@ def print_facts(facts: dict[str, Any]) -> None:
 
 def say(text: str) -> None:
     """Tell the person something that is not the answer."""
-    typer.echo(harmless(text), err=True)
+    typer.echo(harmless(with_options(text)), err=True)
 
 
 def say_error(text: str) -> None:
     """Tell the person what is refused; what they gave stands in it, and is cut where it is endless."""
+    text = with_options(text)
     if len(text) > _LONGEST_REFUSAL:
         half = _LONGEST_REFUSAL // 2
         text = f"{text[:half]} ... ({len(text)} letters) ... {text[-half:]}"

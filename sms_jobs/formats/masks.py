@@ -44,7 +44,7 @@ def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) ->
     if pieces > _MOST_PIECES:
         raise InvalidInput(
             f"{path} has {pieces} pieces and holes, a region may have {_MOST_PIECES}: leave out small ones, "
-            "for example with least_px 20"
+            "for example with `least_px` 20"
         )
     try:
         return written(outlines_of(inside))

@@ -53,7 +53,7 @@ def speckle_sheet(sheet: Sheet) -> NDArray[np.uint8]:
         raise InvalidInput(
             f"a sheet of {sheet.width_mm:g} mm x {sheet.height_mm:g} mm at {sheet.dpi} dpi has "
             f"{columns * rows / 1e6:.0f} million dots, more than {_MOST_PIXELS // 10**6} million; "
-            "print it in parts or with fewer dpi"
+            "print it in parts or with fewer `dpi`"
         )
     if sheet.speckle_mm < 4.0 * pitch:
         raise InvalidInput(

@@ -64,7 +64,7 @@ def read_reference_surface(path: Path, unit: str = "mm", turn_over: bool = False
     if (np.abs(vertices) > _FARTHEST_MM).any():
         raise InvalidInput(
             f"{path.name} has a corner that is more than {_FARTHEST_MM / 1e6:g} km away; correct the file, "
-            "or give its unit"
+            "or give its `unit`"
         )
     # Refuses what cannot be measured against.
     triangle_surface(vertices, faces)

@@ -447,7 +447,7 @@ def test_what_is_found_goes_into_a_parquet_file(
     assert {name: row[name] for name in ("path", "size_bytes", "content_hash")} == {
         name: listed[name] for name in ("path", "size_bytes", "content_hash")
     }
-    with pytest.raises(Conflict, match="set force"):
+    with pytest.raises(Conflict, match="set `force`"):
         run(capsys, *asked, "--format", "parquet", "--out", str(path), *at)
 
 
@@ -456,6 +456,6 @@ def test_without_the_package_it_is_said_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
     path = tmp_path / "found.parquet"
-    with pytest.raises(SmsError, match=r"pip install 'sms-jobs\[parquet\]'.*format csv"):
+    with pytest.raises(SmsError, match=r"pip install 'sms-jobs\[parquet\]'.*`format` csv"):
         write_parquet(path, ["file"], [(1,)])
     assert not path.exists()

@@ -85,7 +85,7 @@ def test_a_calibration_with_warnings_is_not_taken_into_use_by_itself(
     assert said["doubted"].returncode == CONFLICT
     text = " ".join(said["doubted"].stderr.split())
     assert "all spheres of the bar lie within" in text
-    assert "set despite_warnings" in text
+    assert "set --despite-warnings" in text
     assert said["new"]["new"]
 
 

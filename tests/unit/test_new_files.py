@@ -54,7 +54,7 @@ def odd_again(folder: Path) -> list[Path]:
 def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
     out.write_text("precious")
-    with pytest.raises(Conflict, match="set force"):
+    with pytest.raises(Conflict, match="set `force`"):
         write_file(out, "text", force=False)
     with pytest.raises(ZeroDivisionError):
         _half_written(out)

@@ -113,7 +113,7 @@ def test_a_campaign_is_made_whose_reference_is_the_first_frame(services: Service
         (
             "coupon --cameras C1,C2,C3 --rig pair --rate 1Hz --for 1s",
             USAGE,
-            "give views, such as 'C1C2 C2C3'",
+            "give --views, such as 'C1C2 C2C3'",
         ),
     ],
 )

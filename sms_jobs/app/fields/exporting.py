@@ -119,16 +119,16 @@ def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileVie
     file, kind, campaign = chosen.file, chosen.kind, chosen.campaign
     state, view = chosen.state, chosen.view
     if (file is None) == (kind is None):
-        raise InvalidInput("name one file, as in 'sms data export 42', or give a kind and a campaign")
+        raise InvalidInput("name one file, as in 'sms data export 42', or give a `kind` and a `campaign`")
     with services.catalogue.reading() as session:
         if file is not None:
             if (campaign, state, view) != (None, None, None):
                 raise InvalidInput(
-                    "campaign, state and view go with a kind; leave them out when you name a file"
+                    "`campaign`, `state` and `view` go with a `kind`; leave them out when you name a file"
                 )
             return [search.file_view(session, file)]
         if campaign is None:
-            raise InvalidInput("a kind needs a campaign: add the campaign whose result is to be exported")
+            raise InvalidInput("a `kind` needs a `campaign`: add the campaign whose result is to be exported")
         found = search.find_files(
             session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
         )
@@ -157,7 +157,7 @@ def _export(services: Services, view: FileView, out: Path | None, options: Expor
         return [_repacked(services, view, out, options)]
     if form is None:
         if options.fields or options.record or options.frame != "world":
-            raise InvalidInput("fields, record and frame need a format: 'sms data formats' lists them")
+            raise InvalidInput("`fields`, `record` and `frame` need a format: 'sms data formats' lists them")
         target = _target(out, PurePosixPath(view.path).name, options.force)
         services.archive.verify_bytes(view)
         with writing.new_file(target, options.force) as part:
@@ -168,7 +168,7 @@ def _export(services: Services, view: FileView, out: Path | None, options: Expor
         names = [options.record] if options.record else _records(dataset, exporter)
         if len(names) > 1 and out is not None and not out.is_dir():
             raise InvalidInput(
-                f"file {view.id} has the records {', '.join(names)}: choose one as record, or give a folder"
+                f"file {view.id} has the records {', '.join(names)}: choose one as `record`, or give a folder"
             )
         for name in names:
             record: Any = dataset.read(name, dataset.record_class(name))
@@ -193,7 +193,7 @@ def _repacked(services: Services, view: FileView, out: Path | None, options: Exp
     from sms_jobs.archive.repacking import repack
 
     if options.fields or options.record or options.frame != "world":
-        raise InvalidInput("hdf5 takes the whole file; leave out fields, record and frame")
+        raise InvalidInput("hdf5 takes the whole file; leave out `fields`, `record` and `frame`")
     target = _target(out, f"{_stem(view)}.h5", options.force)
     services.archive.verify_bytes(view)
     with writing.new_file(target, options.force) as part, services.archive.local(view.path) as sealed:

@@ -154,8 +154,8 @@ def difference_of(services: Services, file: str, other: str, how: ComparisonOpti
     if met < 3:
         raise InvalidInput(
             f"file {file} and {other} have {met} points within {how.within_mm:g} mm of each other; give "
-            "their shapes one frame with align, their lengths one unit with scale_mm, or a larger "
-            "within_mm"
+            "their shapes one frame with `align`, their lengths one unit with `scale_mm`, or a larger "
+            "`within_mm`"
         )
     if how.free:
         return replace(found, difference=free_of_motion(mine.points, difference)[:, :axes])

@@ -61,7 +61,7 @@ def compare_states(
         There is no such campaign, or no state has both.
     """
     if kind not in ("merge", "combine"):
-        raise InvalidInput(f"kind cannot be '{kind}'; choose merge or combine")
+        raise InvalidInput(f"`kind` cannot be '{kind}'; choose merge or combine")
     pairs = _pairs(services, campaign, other, kind)
     return StateDifferences(
         tuple(_of_state(services, state, mine, theirs, how) for state, mine, theirs in pairs)

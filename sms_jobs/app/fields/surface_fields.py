@@ -237,7 +237,7 @@ def section(
     if not pieces <= _MOST_PIECES:
         raise InvalidInput(
             f"the section from {_point_text(start)} to {_point_text(end)} has {pieces:.3g} pieces of "
-            f"{step:g} mm, and may have {_MOST_PIECES}: make it shorter, or the step larger"
+            f"{step:g} mm, and may have {_MOST_PIECES}: make it shorter, or the `step` larger"
         )
     with services.catalogue.reading() as session:
         view = search.file_view(session, file)

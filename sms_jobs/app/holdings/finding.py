@@ -115,7 +115,7 @@ def portion(columns: str | None, after: int | None, limit: int) -> Portion:
 def _names(text: str) -> list[str]:
     names = list(dict.fromkeys(name.strip() for name in text.split(",")))
     if not all(names):
-        raise InvalidInput(f"columns '{text}' contain an empty name; write them like file,subject,load_kN")
+        raise InvalidInput(f"`columns` '{text}' contain an empty name; write them like file,subject,load_kN")
     return names
 
 

@@ -72,7 +72,7 @@ def pack(
     """
     if link and without_plugins:
         raise InvalidInput(
-            "link takes files unchanged, and without_plugins rewrites them; leave one of them out"
+            "`link` takes files unchanged, and `without_plugins` rewrites them; leave one of them out"
         )
     for name in kinds:
         if name not in (MEASUREMENT, CALIBRATION):

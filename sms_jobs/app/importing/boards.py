@@ -133,7 +133,7 @@ def enter(services: Services, found: Arranged, how: EntryOptions, tell: Tell = n
 def _described(task: Task) -> Artefact | None:
     """Return the board that the options describe; None where they describe none."""
     if task.board is not None and task.chessboard is not None:
-        raise InvalidInput("describe the board by board or by chessboard, not by both")
+        raise InvalidInput("describe the board by `board` or by `chessboard`, not by both")
     if task.chessboard is not None:
         known = task.pitch_relative_sigma, task.flatness_mm
         return board_images.chessboard(task.chessboard, task.pitch_mm, *known)
@@ -154,14 +154,14 @@ def _check(
     """Refuse what contradicts the session that is there, or what leaves a new one undescribed."""
     if existing is None:
         if rig is None or board is None:
-            missing = "name the rig, for example stereo" if rig is None else "describe the board"
+            missing = "name the `rig`, for example stereo" if rig is None else "describe it with `board`"
             raise InvalidInput(f"there is no session {name} yet: {missing}")
         return
     if existing.session is None:
         raise InvalidInput(f"campaign {name} is no calibration session: import into another")
     if board is not None and board not in existing.session.artefacts.values():
         raise InvalidInput(
-            f"session {name} shows another board: leave the board out, or create another session"
+            f"session {name} shows another board: leave `board` out, or create another session"
         )
     unknown = [p for p in arrangement.views if p not in existing.views]
     if unknown:
@@ -172,7 +172,7 @@ def _check(
     added = [label for label in arrangement.states if label not in labels]
     if added and not add_states:
         raise InvalidInput(
-            f"session {name} has no pose {', '.join(added[:5])}: set add_states to add {len(added)}"
+            f"session {name} has no pose {', '.join(added[:5])}: set `add_states` to add {len(added)}"
         )
 
 

@@ -210,14 +210,14 @@ class _Import:
         if not arrangement.tuples:
             raise InvalidInput(
                 f"no file of {task.folder} fits the pattern '{layout.pattern.text}': give another "
-                "pattern; printing the layout shows the guess"
+                "`pattern`; printing the layout shows the guess"
             )
         campaign = self._described()
         if campaign is None:
             if task.rig is None:
                 raise InvalidInput(
-                    f"there is no campaign {task.campaign} yet: name the rig that measured, for example "
-                    "desk, or give its plan; 'sms calibration list' shows rigs"
+                    f"there is no campaign {task.campaign} yet: name the `rig` that measured, for example "
+                    "desk, or give its `plan`; 'sms calibration list' shows rigs"
                 )
             return Campaign(
                 name=task.campaign,
@@ -242,8 +242,9 @@ class _Import:
         added = [label for label in arrangement.labels if label not in {s.label for s in campaign.states}]
         if added and not task.add_states:
             raise InvalidInput(
-                f"campaign {campaign.name} has no state {', '.join(added[:5])}: set add_states to add "
-                f"{len(added)}, take other files with only, or map them to its own under [states] of a layout"
+                f"campaign {campaign.name} has no state {', '.join(added[:5])}: set `add_states` to add "
+                f"{len(added)}, take other files with `only`, or map them to its own under [states] of a "
+                "layout"
             )
         return with_states(campaign, added)
 
@@ -310,7 +311,7 @@ class _Import:
             return outcome_of(one, "already there", known.path)
         if dry_run:
             differs = known.status == "other" and not task.newer
-            detail = "it already has another measurement: set newer to use this one" if differs else ""
+            detail = "it already has another measurement: set `newer` to use this one" if differs else ""
             return outcome_of(one, "refused" if differs else "would be imported", detail)
         at = task.recorded_at or one.recorded_at
         sources = _sources(task, self.listing, one, self.layout)

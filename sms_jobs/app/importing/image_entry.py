@@ -62,7 +62,7 @@ def arranged(
     text = pattern or guess_image_pattern(names, named)
     found = arrange_images(listing, NamePattern.parse(text, named), camera, reference, named)
     if not found.tuples:
-        raise InvalidInput(f"no file of {listing.folder} fits the pattern '{text}': give another pattern")
+        raise InvalidInput(f"no file of {listing.folder} fits the pattern '{text}': give another `pattern`")
     return text, found
 
 
@@ -165,7 +165,7 @@ class EnteredImages:
             return outcome_of(one, "already there", known.path)
         if self.options.dry_run:
             differs = known.status == "other" and not self.options.newer
-            detail = "it already has another image: set newer to use this one" if differs else ""
+            detail = "it already has another image: set `newer` to use this one" if differs else ""
             return outcome_of(one, "refused" if differs else "would be imported", detail)
         at = self.options.recorded_at or one.recorded_at
         try:

@@ -53,7 +53,7 @@ def views_asked_for(text: str, cameras: Sequence[str]) -> Views:
     """Return the views that are named; raise `InvalidInput` for what cannot be a view of these cameras."""
     views = tuple(str(view_of(part)) for part in text.replace(",", " ").split())
     if not views or len({*views}) < len(views):
-        raise InvalidInput(f"views should name each view once, as in 'C1C2 C2C3', not '{text}'")
+        raise InvalidInput(f"`views` should name each view once, as in 'C1C2 C2C3', not '{text}'")
     for view in map(view_of, views):
         if view.projectors:
             raise InvalidInput(
@@ -81,7 +81,7 @@ def views_of_all(cameras: Sequence[str], rig: str, calibration: tuple[int, Calib
     if calibration is None:
         words = (
             f"all {len(pairs)} pairs of {len(cameras)} cameras are taken, since rig {rig} has no calibration "
-            "that shows which of them see the same thing: give views to choose some"
+            "that shows which of them see the same thing: give `views` to choose some"
         )
         return Views(tuple(str(View(a, (b,))) for a, b in pairs), (words,))
     taken: list[_Pair] = []
@@ -151,7 +151,7 @@ def of_whole_states(arrangement: Arrangement, lacking: Mapping[str, Sequence[str
             return one
         fault = (
             f"state {one.state} has no image of {' and '.join(lacking[one.state])}: add it and import again "
-            "with add_states; until then nothing of the state is taken"
+            "with `add_states`; until then nothing of the state is taken"
         )
         return replace(one, faults=abridged([*one.faults, fault]))
 
@@ -236,7 +236,7 @@ def without_calibration(
     else:
         words = (
             f"the first calibration of rig {campaign.rig} is valid from {used[0].valid_from.isoformat()}, "
-            f"and the first image was recorded at {min(times).isoformat()}: give recorded_at, or import "
+            f"and the first image was recorded at {min(times).isoformat()}: give `recorded_at`, or import "
             f"an earlier calibration, since {shape} measures nothing without one"
         )
     return (words,)

@@ -208,14 +208,14 @@ def _views(
 ) -> Views:
     """Return the views of the campaign; raise `InvalidInput` where it has others than are asked for."""
     if task.alone and task.views is not None:
-        raise InvalidInput("alone takes each camera by itself, views takes some together: give one of them")
+        raise InvalidInput("`alone` takes each camera by itself, `views` some of them together: give one")
     if existing is not None:
         asked = None if task.views is None else views_asked_for(task.views, existing.recordings).views
         together = cameras_together(existing)
         if (asked is not None and {*asked} != {*existing.views}) or (task.alone and together):
             raise InvalidInput(
                 f"campaign {existing.name} has the views {', '.join(existing.views)}, which stay: "
-                "leave out views and alone, or import into another campaign"
+                "leave out `views` and `alone`, or import into another campaign"
             )
         return Views(existing.views)
     if task.views is not None:
@@ -272,14 +272,14 @@ def _definition(
             raise InvalidInput(
                 f"state {reference}, which displacements start from, has no image of "
                 f"{' and '.join(lacking[reference])}: add it, name another state as the "
-                "reference, or set alone if the cameras do not measure together"
+                "`reference`, or set `alone` if the cameras do not measure together"
             )
         return replace(campaign, states=tuple(s for s in campaign.states if s.label not in lacking))
     definition = with_states(existing, (label for label in arrangement.labels if label not in lacking))
     added = [s.label for s in definition.states[len(existing.states) :]]
     if added and not add_states:
         raise InvalidInput(
-            f"campaign {existing.name} has no state {', '.join(added[:5])}: set add_states to add "
+            f"campaign {existing.name} has no state {', '.join(added[:5])}: set `add_states` to add "
             f"{len(added)}"
         )
     return definition

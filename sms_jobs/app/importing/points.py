@@ -105,6 +105,6 @@ def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFor
     sensors = view_of(view).sensors
     if set(sizes) != set(sensors):
         raise InvalidInput(
-            f"give the image size of {' and '.join(sensors)}, not of {', '.join(sizes) or 'none'}"
+            f"give the image `size` of {' and '.join(sensors)}, not of {', '.join(sizes) or 'none'}"
         )
     return tuple(SensorFormat(name, *sizes[name]) for name in sensors)

@@ -116,7 +116,8 @@ def arrange_readings(services: Services, task: Task) -> Arranged:
     if by_time:
         if not times:
             raise InvalidInput(
-                f"no state of campaign {task.campaign} has a time or a measurement: give state_column instead"
+                f"no state of campaign {task.campaign} has a time or a measurement: give `state_column` "
+                "instead"
             )
         zone = None if task.time_zone is None else zone_named(task.time_zone)
         states, left_out = states_by_time(table, table.column(key), times, zone, task.within)
@@ -146,7 +147,7 @@ def enter(services: Services, found: Arranged) -> None:
 def _key_column(table: Table, state: str | None, time: str | None) -> tuple[str, bool]:
     """Return the column that finds states, and whether it holds times."""
     if state is not None and time is not None:
-        raise InvalidInput("give state_column or time_column, not both")
+        raise InvalidInput("give `state_column` or `time_column`, not both")
     if state is not None:
         return state, False
     if time is not None:
@@ -156,7 +157,7 @@ def _key_column(table: Table, state: str | None, time: str | None) -> tuple[str,
             if header.lower() in names:
                 return header, by_time
     raise InvalidInput(
-        f"{table.source} has no column 'state' or 'time': give state_column or time_column; it has "
+        f"{table.source} has no column 'state' or 'time': give `state_column` or `time_column`; it has "
         f"{', '.join(table.header[:20])}"
     )
 

@@ -131,7 +131,7 @@ def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> Non
     if not campaign.fringe_views:
         raise InvalidInput(
             f"{campaign.name} has no view of a camera and a projector, and others have no quick look; leave "
-            "out look and stop_if"
+            "out `look` and `stop_if`"
         )
     known = [described_gauge(text).name for text in declared_gauges(campaign)]
     for limit in stop_if:
@@ -172,7 +172,7 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
     tolerance = when.tolerance.in_unit(unit, "tolerance")
     if tolerance <= 0.0:
         raise InvalidInput(
-            f"tolerance is '{when.tolerance.text}', and no reading is ever that near: give one above 0"
+            f"`tolerance` is '{when.tolerance.text}', and no reading is ever that near: give one above 0"
         )
     return Holding(when.channel, unit, target, tolerance, when.for_s)
 

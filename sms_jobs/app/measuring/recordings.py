@@ -208,7 +208,7 @@ def resume(services: Services, prefix: str, *, retake: bool = False) -> Started:
         row = recordings.recording_row(session, prefix)
         if retake and not recordings.forget_doubtful(services.stations.spool_of(row.id)):
             short = row.id[:SHORT_ID]
-            raise Conflict(f"job {short} has no doubtful set to record again; leave out retake")
+            raise Conflict(f"job {short} has no doubtful set to record again; leave out `retake`")
         orders.retry(session, row.id, datetime.now(UTC), services.actor.name)
         return Started((row.id,), 1, by_ids([row.id]))
 

@@ -149,7 +149,7 @@ def _asked(services: Services, task: Task) -> tuple[bool, Campaign, StreamParame
     if task.cameras and {*task.cameras} != {*cameras}:
         raise InvalidInput(
             f"campaign {campaign.name} has the cameras {', '.join(cameras)}, and a state has an image of "
-            "each: leave cameras out, or name another campaign, with a rig to create it"
+            "each: leave `cameras` out, or name another campaign, with a `rig` to create it"
         )
     given = {
         "rate_hz": task.rate_hz,
@@ -174,11 +174,12 @@ def _new(task: Task) -> Campaign:
     if task.rig is None or not task.cameras:
         raise NotFound(
             f"there is no campaign '{task.campaign}': create it with 'sms campaign create', or give "
-            "cameras and a rig to create it here"
+            "`cameras` and a `rig` to create it here"
         )
     if task.views is None and len(task.cameras) > 2:
         raise InvalidInput(
-            f"{len(task.cameras)} cameras may measure together in many ways: give views, such as 'C1C2 C2C3'"
+            f"{len(task.cameras)} cameras may measure together in many ways: give `views`, such as "
+            "'C1C2 C2C3'"
         )
     views = (
         views_of_all(task.cameras, task.rig, None)

@@ -47,9 +47,9 @@ def in_world(choice: Choice) -> bool:
             "give all points as pixels, column,row, or all as places of the world, X,Y,Z in mm"
         )
     if (choice.plane is None) == (not choice.region):
-        raise InvalidInput("give plane, a third point, or fit, a region to fit a plane to; not both")
+        raise InvalidInput("give `plane`, a third point, or `fit`, a region to fit a plane to; not both")
     if choice.origin is None and not choice.region:
-        raise InvalidInput("give origin; only a fitted region has a middle that can replace it")
+        raise InvalidInput("give `origin`; only a fitted region has a middle that can replace it")
     if sizes == {3} and (choice.region or choice.markers or choice.view):
-        raise InvalidInput("fit, markers and view need pixels; give the points as column,row")
+        raise InvalidInput("`fit`, `markers` and `view` need pixels; give the points as column,row")
     return sizes == {3}

@@ -288,7 +288,7 @@ def cancel(services: Services, prefixes: Sequence[str], campaign: str | None) ->
         The named jobs have ended already.
     """
     if not prefixes and campaign is None:
-        raise InvalidInput("name the jobs to cancel, or a campaign")
+        raise InvalidInput("name the jobs to cancel, or a `campaign`")
     some = choose(services, prefixes, campaign)
     cancelled = crowds.cancel(services.catalogue, some, datetime.now(UTC), services.actor.name)
     if prefixes and not cancelled:
@@ -303,7 +303,7 @@ def retry(services: Services, prefixes: Sequence[str], campaign: str | None) -> 
     Returns how many run again. Raises as `cancel` does, `Conflict` for a job that cannot be retried.
     """
     if not prefixes and campaign is None:
-        raise InvalidInput("name the jobs to retry, or a campaign")
+        raise InvalidInput("name the jobs to retry, or a `campaign`")
     now, by = datetime.now(UTC), services.actor.name
     if campaign is not None and not prefixes:
         return crowds.retry(services.catalogue, campaign, now, by)

@@ -100,5 +100,5 @@ def _checked(session: Session, names: Sequence[str]) -> list[str]:
 
 def _named(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
     if not prefixes and campaign is None:
-        raise InvalidInput("name the jobs, or a campaign")
+        raise InvalidInput("name the jobs, or a `campaign`")
     return jobs.choose(services, prefixes, campaign)

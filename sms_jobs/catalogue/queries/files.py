@@ -78,7 +78,7 @@ def restricted(
         It asks for another kind already.
     """
     if kind is not None and query.kind is not None and query.kind.text != kind:
-        raise InvalidInput(f"the query asks for {query.kind.text}, but kind is {kind}; leave one of them out")
+        raise InvalidInput(f"the query asks for {query.kind.text}, but `kind` is {kind}; leave one out")
     given = {"campaign": campaign, "state": state, "view": view}
     parts: list[Condition] = [
         Comparison(Name(name, UNWRITTEN), Operator.EQUAL, Value(text, text, UNWRITTEN))

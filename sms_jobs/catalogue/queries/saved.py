@@ -46,7 +46,7 @@ def save(
     files.check(session, parse(text), vocabulary)
     row = session.scalar(select(SavedQueryRow).where(SavedQueryRow.name == name))
     if row is not None and not replace:
-        raise Conflict(f"there is already a query '{name}'; choose another name, or set force to replace it")
+        raise Conflict(f"there is already a query '{name}'; choose another name, or set `force`")
     if row is None:
         row = SavedQueryRow(name=name)
         session.add(row)

@@ -150,7 +150,7 @@ def _asked(fields: StateFields, query: Query, columns: Sequence[str] | None) -> 
         for name, one in asked.items():
             if one.by_view and one.statistic is None:
                 raise InvalidInput(
-                    f"views are listed for every state anyway; leave '{name}' out of the columns"
+                    f"views are listed for every state anyway; leave '{name}' out of the `columns`"
                 )
         return asked
     tests = [test for test in comparisons(query.condition) if test.name.at != UNWRITTEN]

@@ -32,7 +32,7 @@ def time_given(text: str | None) -> datetime | None:
 
 def _shown(one: TupleOutcome) -> tuple[object, ...]:
     """Return what a table shows of a tuple; why it is refused stands below."""
-    detail = "see below" if one.outcome == "refused" else one.detail
+    detail = "see below" if one.outcome == "refused" else output.with_options(one.detail)
     return (one.state, one.view, one.frames, one.size, one.outcome, detail)
 
 

@@ -62,11 +62,11 @@ def chessboard(
     found = _SIZE.fullmatch(size)
     if found is None or not all(3 <= int(n) <= _LONGEST for n in found.groups()):
         raise InvalidInput(
-            f"chessboard should be its inner corners, columns x rows from 3x3 to {_LONGEST}x{_LONGEST}, "
+            f"`chessboard` should be its inner corners, columns x rows from 3x3 to {_LONGEST}x{_LONGEST}, "
             f"for example 9x6, not '{size}'"
         )
     if pitch_mm is None:
-        raise InvalidInput("the scale of the chessboard is not known: give pitch_mm, the side of a square")
+        raise InvalidInput("the scale of the chessboard is not known: give `pitch_mm`, the side of a square")
     return Chessboard(
         int(found[1]),
         int(found[2]),

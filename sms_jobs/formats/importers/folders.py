@@ -84,7 +84,7 @@ def list_folder(folder: Path, only: str | None = None) -> Listing:
                 f"{folder} has more than {MOST_FILES} files: import its sub-folders one after the other"
             )
     if only is not None and not files:
-        raise InvalidInput(f"no file of {folder} has a path of the form '{printable(only)}': correct only")
+        raise InvalidInput(f"no file of {folder} has a path of the form '{printable(only)}': correct `only`")
     return Listing(root, tuple(sorted(files, key=natural)), tuple(left_out))
 
 

@@ -207,14 +207,14 @@ def _guess_sequence(
             remarks.append(f"guessed: {bits} patterns of a Gray code, the coarsest first")
     if "steps" not in inner:
         raise InvalidInput(
-            "the frames do not show the number of phase steps: give steps, for example 4; the names of the "
+            "the frames do not show the number of phase steps: give `steps`, for example 4; the names of the "
             f"frames are {table['pattern']}"
         )
     if "densities" not in inner:
         runs = f" of the {_runs(seen)} steps" if seen is not None and seen.steps else ""
         raise InvalidInput(
-            f"images do not show how many fringes cross the projector: give densities{runs}, in order of "
-            "recording, for example '16 1', and orientations '0 90' if there are two directions"
+            f"images do not show how many fringes cross the projector: give `densities`{runs}, in order of "
+            "recording, for example '16 1', and `orientations` '0 90' if there are two directions"
         )
 
 
@@ -230,7 +230,7 @@ def _refuse_uncertain(steps: Any, expected: int, seen: FrameOrder) -> None:
             f"of the {len(seen.fringes)} frames {int((~seen.fringes).sum())} are neither runs of phase steps "
             "nor patterns of two levels, so that what they show is not guessed: where some densities have "
             "fewer than three steps, as in micro or embedded phase shifting, write a layout with [sequence] "
-            "densities = [16, 15.2, 14.6] and steps = [3, 1, 1], or give steps '3 1 1'"
+            "densities = [16, 15.2, 14.6] and steps = [3, 1, 1], or give `steps` '3 1 1'"
         )
 
 

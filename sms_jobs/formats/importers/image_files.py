@@ -153,19 +153,19 @@ def _content(path: Path) -> bytes:
 def _raw_levels(path: Path, content: bytes, raw: RawFormat | None) -> NDArray[Any]:
     if raw is None:
         raise InvalidInput(
-            f"{path.name} is raw data: give its columns, rows and bits as raw, for example 1280x1024x12"
+            f"{path.name} is raw data: give its columns, rows and bits as `raw`, for example 1280x1024x12"
         )
     if len(content) != raw.size_bytes:
         raise InvalidInput(
             f"{path.name} has {len(content)} bytes, but {raw.columns} x {raw.rows} px of {raw.bits} bits "
-            f"with {raw.header_bytes} bytes before them are {raw.size_bytes}: correct raw, or copy it again"
+            f"with {raw.header_bytes} bytes before them are {raw.size_bytes}: correct `raw`, or copy it again"
         )
     levels = np.frombuffer(content, raw.dtype, offset=raw.header_bytes).reshape(raw.rows, raw.columns)
     highest = int(levels.max())
     if highest >= 1 << raw.bits:
         raise InvalidInput(
             f"{path.name} has grey level {highest}, above the {(1 << raw.bits) - 1} of {raw.bits} bits: "
-            "correct the bits or the byte order in raw"
+            "correct the bits or the byte order in `raw`"
         )
     return levels.astype(np.uint8 if raw.bits <= 8 else np.uint16)
 

@@ -67,7 +67,7 @@ def guess_image_pattern(images: Sequence[str], cameras: Collection[str] = ()) ->
         shown, form = images[0], "{state}_{camera}.png" if cameras else "{state}.png"
         besides = " but the camera" if cameras else ""
         raise InvalidInput(
-            f"no part of the name {shown} varies{besides}: give a pattern, for example '{form}'"
+            f"no part of the name {shown} varies{besides}: give a `pattern`, for example '{form}'"
         )
     state = max(common, key=lambda k: (common[k], k)) if cameras else max(common)
     return "".join(
@@ -98,11 +98,11 @@ def _alike(images: Sequence[str], cameras: Collection[str]) -> list[_Reading]:
     lacking = [c for c in cameras if not any(_places(name, c) for name in images)]
     if lacking:
         raise InvalidInput(
-            f"no name of an image has '{lacking[0]}' for a camera, as {images[0]}: correct cameras"
+            f"no name of an image has '{lacking[0]}' for a camera, as {images[0]}: correct `cameras`"
         )
     raise InvalidInput(
         f"the names of the cameras {', '.join(cameras)} differ in more than the camera, as {images[0]}: "
-        "describe them with a pattern like '{camera}/load_{state}.png'"
+        "describe them with a `pattern` like '{camera}/load_{state}.png'"
     )
 
 

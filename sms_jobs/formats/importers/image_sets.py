@@ -42,11 +42,11 @@ def named_cameras(text: str | None) -> dict[str, str]:
         found = _NAMED.fullmatch(part)
         if found is None:
             raise InvalidInput(
-                f"cameras should say which camera is which, as in 'left=C1 right=C2', not '{part}'"
+                f"`cameras` should say which camera is which, as in 'left=C1 right=C2', not '{part}'"
             )
         twice = found["called"] if found["called"] in named else found["name"]
         if twice in (*named, *named.values()):
-            raise InvalidInput(f"cameras name {twice} twice in '{text}': name each camera once")
+            raise InvalidInput(f"`cameras` name {twice} twice in '{text}': name each camera once")
         named[found["called"]] = found["name"]
     return named
 
@@ -84,7 +84,7 @@ def arrange_images(
     if cameras and "camera" not in pattern.names:
         raise InvalidInput(
             f"the pattern '{pattern.text}' does not say where names have the cameras {', '.join(cameras)}: "
-            "write {camera} there, or leave out cameras"
+            "write {camera} there, or leave out `cameras`"
         )
     if camera is not None and not _CAMERA.fullmatch(camera):
         raise InvalidInput(f"'{camera}' is no camera: write it like C1")
@@ -117,7 +117,7 @@ def _found(state: str, camera: str, files: list[str]) -> FoundTuple:
     if len(files) > 1:
         faults.append(
             f"{' and '.join(files[:3])} are of one state and camera: take all but one out of the folder, or "
-            "give cameras as they are called in the names, for example 'left=C1 right=C2'"
+            "give `cameras` as they are called in the names, for example 'left=C1 right=C2'"
         )
     return FoundTuple(state, camera, white=files[0], faults=tuple(faults))
 

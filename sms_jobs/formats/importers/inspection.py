@@ -297,11 +297,11 @@ def full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: l
     if highest <= 255:
         raise InvalidInput(
             f"the highest grey level of 16-bit files is {highest}, from which their full scale cannot be "
-            "guessed: give full_scale, for example 4095"
+            "guessed: give `full_scale`, for example 4095"
         )
     full_scale = next(s for s in _FULL_SCALES if s >= highest)
     remarks.append(
-        f"full scale {full_scale} guessed from the highest grey level {highest}: give full_scale if it is "
+        f"full scale {full_scale} guessed from the highest grey level {highest}: give `full_scale` if it is "
         "another"
     )
     return full_scale

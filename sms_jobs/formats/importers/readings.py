@@ -179,9 +179,9 @@ def read_table(path: Path, delimiter: str | None = None, decimal: str | None = N
         raise InvalidInput(f"{path.name} is empty: a header and at least one row are needed")
     mark = delimiter or max("\t;,", key=numbered[0][1].count)
     if len(mark) != 1:
-        raise InvalidInput(f"the delimiter should be one character, not '{printable(mark)}'")
+        raise InvalidInput(f"the `delimiter` should be one character, not '{printable(mark)}'")
     if mark in '\r\n"':
-        raise InvalidInput(f"the delimiter cannot be '{printable(mark)}': give a comma, a semicolon or a tab")
+        raise InvalidInput(f"the `delimiter` cannot be '{printable(mark)}': give comma, semicolon or tab")
     lines_read = io.StringIO("\n".join(line for _, line in numbered))
     header, *rows = csv_cells(lines_read, path.name, mark)
     names = tuple(name.strip() for name in header)
@@ -202,11 +202,11 @@ def read_table(path: Path, delimiter: str | None = None, decimal: str | None = N
         if len(row) != len(names):
             raise InvalidInput(
                 f"{path.name}, line {line} has {len(row)} cells, but the header has {len(names)}: correct "
-                "it, or give another delimiter"
+                "it, or give another `delimiter`"
             )
     point = decimal or _decimal(rows, mark)
     if point not in (".", ","):
-        raise InvalidInput(f"the decimal mark should be . or , and not '{printable(point)}'")
+        raise InvalidInput(f"the `decimal` mark should be . or , and not '{printable(point)}'")
     if point == "," and decimal is None:
         remarks.append("numbers are read with a decimal comma")
     return Table(path.name, names, tuple(map(tuple, rows)), lines, point, tuple(remarks))
@@ -276,7 +276,7 @@ def states_by_time(
             left_out.append(
                 f"state {state}: the nearest row, line {table.lines[nearest]}, is "
                 f"{abs(at[nearest] - held).total_seconds():.3g} s away; at most "
-                f"{within.total_seconds():g} s are allowed (within)"
+                f"{within.total_seconds():g} s are allowed (`within`)"
             )
         elif found[nearest] is not None:
             left_out.append(
@@ -299,7 +299,7 @@ def _time(table: Table, row: int, column: int, zone: tzinfo | None) -> datetime:
     if at.tzinfo is None:
         if zone is None:
             raise InvalidInput(
-                f"{where}: the time {text} has no zone: give time_zone, for example Europe/Berlin"
+                f"{where}: the time {text} has no zone: give `time_zone`, for example Europe/Berlin"
             )
         at = at.replace(tzinfo=zone)
     return checked_time(at, where)

@@ -111,9 +111,9 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
         missing = [
             name
             for name, absent in (
-                ("the rig", rig is None),
-                ("the time from which it is valid", valid_from is None),
-                ("the volume", to_ask),
+                ("the `rig`", rig is None),
+                ("the time from which it is valid (`valid_from`)", valid_from is None),
+                ("the `volume`", to_ask),
             )
             if absent
         ]
@@ -131,7 +131,7 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
         volume = _seen_together(sensors, sources)
         low, high = (", ".join(f"{x:g}" for x in corner) for corner in (volume.low, volume.high))
         remarks.append(
-            f"the volume is what the cameras see together, from {low} to {high} mm; give volume to change it"
+            f"the volume is what the cameras see together, from {low} to {high} mm; `volume` changes it"
         )
     calibration = Calibration(Rig(rig, sensors), volume, valid_from.astimezone(UTC), origin)
     return ImportedCalibration(calibration, tuple(remarks))
@@ -191,7 +191,7 @@ def _sensors(found: FoundCalibration, given: Supplement, sources: str) -> tuple[
     if unsized:
         sizes_to_add = " ".join(f"{name}=COLUMNSxROWS" for name in unsized)
         raise InvalidInput(
-            f"{sources} does not say the image size of {', '.join(unsized)}: add the size {sizes_to_add}"
+            f"{sources} does not say the image size of {', '.join(unsized)}: add `size` {sizes_to_add}"
         )
     sensors = []
     for name, sensor, size in zip(names, found.sensors, sizes, strict=True):

@@ -141,7 +141,7 @@ def certify(
         listed, count = "; ".join(found.quality.warnings), len(found.quality.warnings)
         raise Conflict(
             f"the calibration of session {campaign} has {count} warning{'s' * (count != 1)} and is "
-            f"not taken into use: {listed}; see its report, or set despite_warnings"
+            f"not taken into use: {listed}; see its report, or set `despite_warnings`"
         )
     since = valid_from or _began(catalogue, campaign, found.calibration)
     calibration = replace(found.calibration, valid_from=since)

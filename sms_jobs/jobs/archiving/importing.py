@@ -137,7 +137,7 @@ def import_measurement(
         return known
     if known.status == "other" and not newer:
         raise Conflict(
-            f"{subject} already has another measurement, {known.path}: set newer to enter this one beside "
+            f"{subject} already has another measurement, {known.path}: set `newer` to enter this one beside "
             "it and use it from now on"
         )
     with catalogue.reading() as session:
@@ -303,7 +303,7 @@ def _read(state: LoadState, reading: Reading, changes: list[str], replace_others
         if old is not None and not replace_others:
             raise Conflict(
                 f"state {state.label} has {name} = {old} already, and {value} is to be entered: set "
-                "replace to use the new one"
+                "`replace` to use the new one"
             )
         changes.append(f"{state.label}: {name} = {value}" + ("" if old is None else f" (was {old})"))
     return replace(state, channels={**state.channels, **reading.channels}, **given)

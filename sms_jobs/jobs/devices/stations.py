@@ -86,7 +86,7 @@ class Stations:
         path = self._path(rig.name)
         if path.exists() and not replace:
             raise Conflict(
-                f"a rig '{rig.name}' is already connected, by {path}; set replace to use the new file"
+                f"a rig '{rig.name}' is already connected, by {path}; set `replace` to use the new file"
             )
         self.rigs.mkdir(parents=True, exist_ok=True)
         beside = path.with_suffix(".new")

@@ -69,7 +69,7 @@ def by_ids(ids: Sequence[str]) -> Chosen:
     """Choose jobs one by one; raise `InvalidInput` where they are too many for that."""
     if len(ids) > MOST_NAMED:
         raise InvalidInput(
-            f"{len(ids)} jobs are named, and at most {MOST_NAMED} can be; choose a campaign instead"
+            f"{len(ids)} jobs are named, and at most {MOST_NAMED} can be; choose a `campaign` instead"
         )
     return Chosen(ids=tuple(ids))
 

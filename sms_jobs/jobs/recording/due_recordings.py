@@ -119,7 +119,7 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
     found = tuple(state for state in left if state.label not in there)
     if not found:
         raise Conflict(
-            f"every state of {campaign} is recorded, planned or skipped: name a state to plan it "
+            f"every state of {campaign} is recorded, planned or skipped: name a `state` to plan it "
             "again, or see 'sms acquire plan show'"
         )
     return found

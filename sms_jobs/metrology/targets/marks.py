@@ -56,7 +56,7 @@ def mark_at(image: NDArray[np.generic], pixel: tuple[float, float]) -> Mark:
     if best is None:
         raise InvalidInput(
             f"the pixel {column:g},{row:g} is in no round mark of {_LEAST_RADIUS_PX:g} px radius or more; "
-            "point into a dot or ring, or leave out markers to take the pixel itself"
+            "point into a dot or ring, or leave out `markers` to take the pixel itself"
         )
     return best
 

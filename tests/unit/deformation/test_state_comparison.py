@@ -72,7 +72,7 @@ def test_what_a_measurement_is_off_by_is_told_at_every_state(home: Path) -> None
     (free,) = run(home, "data", "compare-states", "plate", "--with", files, "--free-of-motion")
     assert free["largest_mm"] < 1e-10
     inches = ("--scale-mm", "25.4", "--within-mm", "0.5")
-    with pytest.raises(InvalidInput, match="with scale_mm"):
+    with pytest.raises(InvalidInput, match="with `scale_mm`"):
         run(home, "data", "compare-states", "plate", "--with", files, *inches)
 
 
@@ -89,7 +89,7 @@ def test_another_campaign_is_compared_by_its_name_and_the_table_is_written(home:
     for out in (table, maps):
         told = run(home, "data", "compare-states", "plate", "--with", "plate", "--out", str(out))
         assert told[0]["largest_mm"] < 1e-12
-        with pytest.raises(Conflict, match="set force"):
+        with pytest.raises(Conflict, match="set `force`"):
             run(home, "data", "compare-states", "plate", "--with", "plate", "--out", str(out))
     (row,) = csv.DictReader(table.read_text().splitlines())
     assert (row["state"], float(row["load_n"])) == ("S01", 1200.0)

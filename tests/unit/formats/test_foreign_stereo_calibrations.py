@@ -213,7 +213,7 @@ def test_a_project_of_vic_3d_projects_as_it_says(tmp_path: Path) -> None:
     assert found.remarks[0] == "image size of all cameras from the area of interest: 1920 x 1200 px"
     low, high = found.calibration.volume.low, found.calibration.volume.high
     assert np.all((points > low) & (points < high))
-    with pytest.raises(InvalidInput, match="image size of C1, C2: add the size C1=COLUMNSxROWS C2=COL"):
+    with pytest.raises(InvalidInput, match="image size of C1, C2: add `size` C1=COLUMNSxROWS C2=COL"):
         read_calibration([saved(tmp_path, vic3d(poses))], GIVEN)
 
 

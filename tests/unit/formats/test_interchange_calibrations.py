@@ -343,7 +343,7 @@ def test_higher_coefficients_are_taken_only_where_they_are_zero(tmp_path: Path) 
 
 
 CONTRADICTIONS: list[tuple[Supplement, str]] = [
-    (replace(GIVEN, rig=None, volume=None), "is incomplete: add the rig and the volume"),
+    (replace(GIVEN, rig=None, volume=None), "is incomplete: add the `rig` and the `volume`"),
     (replace(GIVEN, valid_from=datetime(2026, 5, 4)), "needs a zone"),  # noqa: DTZ001
     (replace(GIVEN, rig="../etc"), "'../etc' cannot be the name of a rig"),
     (replace(GIVEN, volume=Box(BOX.high, BOX.low)), "is empty: give the lower corner first"),
@@ -351,7 +351,7 @@ CONTRADICTIONS: list[tuple[Supplement, str]] = [
     (replace(GIVEN, names=("P1", "C1")), "P1 cannot be the name of a camera"),
     (replace(GIVEN, names=("C1", "X1")), "'X1' cannot be the name of a sensor"),
     (replace(GIVEN, names=("C1", "C1")), "two sensors of"),
-    (GIVEN, "does not say the image size of P1: add the size P1=COLUMNSxROWS"),
+    (GIVEN, "does not say the image size of P1: add `size` P1=COLUMNSxROWS"),
     (replace(GIVEN, sizes={"P2": (1, 1)}), "a size is given for P2, but the sensors"),
     (replace(GIVEN, sizes={"C1": (640, 480), "P1": (9, 9)}), "the size given for C1 is 640 x 480 px, but"),
     (replace(GIVEN, millimetres_per_unit=-1.0), "has more than 0 mm"),

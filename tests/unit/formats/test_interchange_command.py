@@ -127,7 +127,7 @@ def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Pa
         (("export", "1", "--as", "opencv-yaml", "--out", "x.json"), 2, "must end in .yml or .yaml"),
         (("export", "1", "--out", "x.xml"), 2, "may be a file of opencv-xml or thesis-xml"),
         (("export", "1", "--out", "x.m"), 2, "opencv-json (*.json)"),
-        (("export", "1", "--as", "opencv-yaml", "--out", str(WRONG / "skew.yml")), 4, "set force"),
+        (("export", "1", "--as", "opencv-yaml", "--out", str(WRONG / "skew.yml")), 4, "set --force"),
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )

@@ -124,7 +124,7 @@ def test_a_folder_of_boards_becomes_a_session_once(folder: Path, home: Path) -> 
     # A calibration holds from its first image on.
     assert made.states[0].time is not None
     assert made.states[0].time.timestamp() == 1.7e9
-    with pytest.raises(SmsError, match="no pose 5: set add_states"):
+    with pytest.raises(SmsError, match="no pose 5: set `add_states`"):
         boards(folder, home, *NAMES)
     told = boards(folder, home, *NAMES, "--add-states")
     assert [t["outcome"] for t in told["tuples"]] == ["already there"] * 10 + ["imported"] * 2
@@ -218,15 +218,15 @@ def test_a_board_without_markers_is_a_board(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ((*NAMES, "--rig", "pair"), "describe the board"),
-        ((*NAMES, *NEW[2:]), "name the rig"),
+        ((*NAMES, "--rig", "pair"), "describe it with `board`"),
+        ((*NAMES, *NEW[2:]), "name the `rig`"),
         ((*NAMES, *NEW, "--board", "x.toml"), "not by both"),
         ((*NAMES, "--rig", "pair", "--chessboard", "6 by 5"), "inner corners"),
-        ((*NAMES, "--rig", "pair", "--chessboard", "6x5"), "give pitch_mm"),
+        ((*NAMES, "--rig", "pair", "--chessboard", "6x5"), "give `pitch_mm`"),
         ((*NEW, "--cameras", "left=1"), "say which camera is which"),
         ((*NEW, "--cameras", "left=C1 right=C1"), "name C1 twice"),
         ((*NAMES[:2], *NEW), "fits the pattern"),
-        ((*NAMES, *NEW, "--only", "gone_*"), "correct only"),
+        ((*NAMES, *NEW, "--only", "gone_*"), "correct `only`"),
         ((*NAMES, *NEW, "--volume", "0", "0", "0", "0", "1", "1"), "lower corner"),
         (("--pattern", "left_{number}.png", *NEW), "has to have"),
     ],

@@ -166,7 +166,7 @@ def test_a_table_that_is_wrong_is_refused(file: Path, change: object, complaint:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (("--view", "C1P1", "--size", "C1=640x480"), "give the image size of C1 and P1"),
+        (("--view", "C1P1", "--size", "C1=640x480"), "give the image `size` of C1 and P1"),
         (("--view", "C1P1", "--size", "C1=640"), "--size should be as in"),
         (("--view", "P1", *SIZES), "'P1' is not a view"),
         (

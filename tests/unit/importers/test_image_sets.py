@@ -61,7 +61,7 @@ def test_images_arrive_as_they_are_and_once(home: Path, tmp_path: Path, levels: 
     again = images(tmp_path / "test", home)
     assert {o for _, _, o in outcomes(again)} == {"already there"}
     save(tmp_path / "test", 255 - levels[:1], "load_{}.tif", first=12)
-    with pytest.raises(InvalidInput, match="no state 12: set add_states"):
+    with pytest.raises(InvalidInput, match="no state 12: set `add_states`"):
         images(tmp_path / "test", home)
     assert outcomes(images(tmp_path / "test", home, "--add-states"))[-1] == ("12", "C1", "imported")
 

@@ -148,7 +148,7 @@ def test_two_cameras_measure_together_unless_it_is_said_otherwise(home: Path, fo
         (("--cameras", CAMERAS, "--views", "C1P1"), "has a projector"),
         (("--cameras", CAMERAS, "--views", "C1C2 C1C2"), "each view once"),
         (("--cameras", CAMERAS, "--views", "both"), "'both' is not a view"),
-        (("--cameras", CAMERAS, "--views", "C1", "--alone"), "give one of them"),
+        (("--cameras", CAMERAS, "--views", "C1", "--alone"), "some of them together: give one"),
         (("--cameras", "left=C1 left=C2"), "name left twice"),
         (("--cameras", "left=C1 right=C1"), "name C1 twice"),
         (("--cameras", CAMERAS, "--pattern", "left_{state}.png"), "write {camera} there"),
@@ -177,7 +177,7 @@ def test_a_state_that_lacks_an_image_is_left_out_until_it_has_it(home: Path, fol
     assert "state 1 has no image of C2" in told["tuples"][2]["detail"]
     assert [s.label for s in campaign_of(home).states] == ["0", "2"]
     kept.rename(folder / "right_1.png")
-    with pytest.raises(InvalidInput, match="no state 1: set add_states"):
+    with pytest.raises(InvalidInput, match="no state 1: set `add_states`"):
         images(folder, home, "--cameras", CAMERAS)
     told = images(folder, home, "--cameras", CAMERAS, "--add-states")
     assert [one for one in outcomes(told) if one[2] == "imported"] == [

@@ -111,7 +111,7 @@ def test_what_contradicts_the_campaign_is_refused(run: Import, tmp_path: Path) -
     save(folder / "S00", fringes())
     run(*frames(folder))
     save(folder / "S01", fringes(seed=1, noise=1.0))
-    with pytest.raises(InvalidInput, match="no state S01: set add_states"):
+    with pytest.raises(InvalidInput, match="no state S01: set `add_states`"):
         run(*frames(folder))
     with pytest.raises(InvalidInput, match="no view C2P1"):
         run(*frames(folder, "--view", "C2P1"))
@@ -121,7 +121,7 @@ def test_what_contradicts_the_campaign_is_refused(run: Import, tmp_path: Path) -
     save(folder / "S00", fringes(seed=5, noise=1.0))
     told = run(*frames(folder), code=6)
     assert outcomes(told) == [("S00", "refused"), ("S01", "already there")]
-    assert "set newer" in told["tuples"][0]["detail"]
+    assert "set `newer`" in told["tuples"][0]["detail"]
     assert outcomes(run(*frames(folder, "--newer")))[0] == ("S00", "imported")
 
 

@@ -181,7 +181,7 @@ def test_the_newest_of_a_kind_of_each_subject(services: Services, home: Path, he
 
 def test_several_records_need_a_choice_or_a_folder(services: Services, home: Path, here: Path) -> None:
     number = str(stored(services, "merge", "plate/S01", {"C1": cloud(), "C2": cloud(1.0), "mesh": mesh()}))
-    with pytest.raises(InvalidInput, match="has the records C1, C2: choose one as record, or give"):
+    with pytest.raises(InvalidInput, match="has the records C1, C2: choose one as `record`, or give"):
         export(home, number, out=here / "x.ptx")
     export(home, number, form="ptx", out=here)
     assert sorted(p.name for p in here.iterdir()) == [
@@ -225,8 +225,8 @@ def test_wrong_requests_are_refused_with_a_way_out(services: Services, home: Pat
         ({"file": page, "form": "ply"}, "leave the format out"),
         ({"file": number, "kind": "merge"}, "name one file"),
         ({}, "name one file"),
-        ({"kind": "merge"}, "a kind needs a campaign"),
-        ({"file": number, "campaign": "plate"}, "go with a kind"),
+        ({"kind": "merge"}, "a `kind` needs a `campaign`"),
+        ({"file": number, "campaign": "plate"}, "go with a `kind`"),
         ({"file": number, "form": "ply", "out": here / "no" / "x.ply"}, "make it first"),
     ):
         with pytest.raises(InvalidInput, match=words):
