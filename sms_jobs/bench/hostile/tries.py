@@ -66,7 +66,7 @@ def leaves(group: Any, above: str = "") -> Iterator[Leaf]:
     for name in group.commands.keys():  # noqa: SIM118 - those of `sms` are loaded as they are asked for
         command = group.commands[name]
         path = f"{above} {name}".strip()
-        if getattr(command, "commands", None):
+        if getattr(command, "commands", None) is not None:
             yield from leaves(command, path)
         else:
             yield Leaf(path, tuple(p for p in command.params if p.name != "help"))
