@@ -47,6 +47,8 @@ _PATIENCE_S = 120.0
 _AFTER_A_BEGINNING = 0.75
 """How often a kill waits until another recording has started, so that most of them meet one."""
 _WITHIN_S = 3.0
+_WITHIN_LAST_S = 1.0
+"""Less than a recording takes, whose twelve patterns need a tenth of a second each to be on."""
 _ANY_TIME_S = 20.0
 _RIG = """
 name = "bench"
@@ -117,7 +119,7 @@ class KilledPlan:
         self._environment = os.environ | dict(environment) | own
         self._rng = rng
         self._day = Day(states)
-        self._aimed_at: set[str] = set()
+        self._aimed_at: set[tuple[str, int]] = set()
         self._service: subprocess.Popen[bytes] | None = None
 
     def run(self, kills: int, say: Callable[[str], None]) -> Day:
@@ -163,12 +165,11 @@ class KilledPlan:
                 if _recorded(services) > recorded:
                     recorded = _recorded(services)
                     deadline = time.monotonic() + _PATIENCE_S
-                if kill_at is None and self._another_runs(services):
-                    kill_at = time.monotonic() + self._rng.uniform(0.0, _WITHIN_S)
-            if recorded == self._day.states - 1:
-                # The last recording meets the kills that are left: after it there is nothing to kill.
-                soon = time.monotonic() + self._rng.uniform(0.0, _WITHIN_S)
-                kill_at = soon if kill_at is None else min(kill_at, soon)
+                last = recorded == self._day.states - 1
+                if (kill_at is None or last) and self._another_runs(services):
+                    # The last recording meets the kills that are left: after it there is nothing to kill.
+                    within = _WITHIN_LAST_S if last else _WITHIN_S
+                    kill_at = time.monotonic() + self._rng.uniform(0.0, within)
             if self._day.kills < kills and kill_at is not None and time.monotonic() >= kill_at:
                 whom = self._kill()
                 say(f"{self._day.kills} of {kills} kills: {whom}; {recorded} of {self._day.states} recorded")
@@ -186,10 +187,10 @@ class KilledPlan:
         return time.monotonic() + self._rng.uniform(0.0, _ANY_TIME_S)
 
     def _another_runs(self, services: Services) -> bool:
-        """Say whether a recording runs that no kill was aimed at before, and aim at it."""
-        query = select(JobRow.id).where(JobRow.state == JobState.RUNNING)
+        """Say whether an attempt at a recording runs that no kill was aimed at before, and aim at it."""
+        query = select(JobRow.id, JobRow.attempts).where(JobRow.state == JobState.RUNNING)
         with services.catalogue.reading() as session:
-            running = set(session.scalars(query)) - self._aimed_at
+            running = {(job, attempt) for job, attempt in session.execute(query)} - self._aimed_at
         self._aimed_at |= running
         return bool(running)
 
