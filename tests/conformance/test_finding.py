@@ -341,7 +341,7 @@ def test_options_and_query_have_both_to_be_met(catalogue: Catalogue) -> None:
         (found,) = find_page(session, asked, KNOWN).rows
     assert found.file.subject == "c00000/S01/C1P2"
     assert list(found.values) == ["load_kN"]
-    with pytest.raises(InvalidInput, match="the query asks for strain, but kind is correlate"):
+    with pytest.raises(InvalidInput, match="the query asks for strain, but `kind` is correlate"):
         restricted(parse("strain"), kind="correlate", campaign=None, state=None, view=None)
     with catalogue.reading() as session, pytest.raises(InvalidInput, match=r"no kind 'strian'.*'strain'"):
         find_page(session, restricted(parse(""), kind="strian", campaign=None, state=None, view=None), KNOWN)

@@ -295,7 +295,7 @@ def test_a_file_that_is_missing_is_told_and_the_others_are_kept(plate: Path, tmp
 
 def test_what_cannot_be_is_refused(plate: Path, tmp_path: Path) -> None:
     with bootstrap.services(plate) as services:
-        with pytest.raises(InvalidInput, match="lies in the archive"):
+        with pytest.raises(InvalidInput, match="is inside the archive"):
             back_up(services, plate / "archive" / "kept", NOW)
         back_up(services, tmp_path / "kept", NOW)
     before = sorted(plate.rglob("*"))
