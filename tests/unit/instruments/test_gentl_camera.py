@@ -100,7 +100,7 @@ def test_features_are_set_before_all_else(settings: GentlSettings, context: Driv
         ({"pixel_format": "Mono12"}, "refuses.*'Mono12'.*PixelFormat was to be Mono12; correct the rig file"),
         ({"columns": 50}, "is to have Width = 50, and allows 100 to 800: correct the rig file"),
         ({"trigger": "software"}, 'cannot be triggered: say trigger = "acquisition"'),
-        ({"exposure_ms": 5.0}, "has no feature ExposureTime or ExposureTimeAbs: leave out"),
+        ({"exposure_ms": 5.0}, "has no feature ExposureTime or ExposureTimeAbs: remove it"),
         ({"features": {"EventNotification": 3}}, "wants no number for EventNotification"),
         ({"features": {"BouncingBallSize": "big"}}, "cannot convert string 'big' to int"),
         ({"features": {"BouncingBallSize": 20.5}}, "wants another kind of value for BouncingBallSize"),
