@@ -111,7 +111,8 @@ def export(services: Services, chosen: Chosen, out: Path | None, options: Export
     views = _views(services, chosen, out)
     if len(views) > 1 and out is not None and not out.is_dir():
         raise InvalidInput(f"{len(views)} files are to be written and {out} is no folder; make it first")
-    return [path for view in views for path in _export(services, view, out, options)]
+    planned = [_planned(services, view, out, options, len(views) > 1) for view in views]
+    return [path for one in planned for path in _export(services, one, options)]
 
 
 def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileView]:
@@ -148,57 +149,82 @@ def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileVie
     return [view for subject in sorted(newest) for view in sorted(newest[subject], key=lambda v: v.path)]
 
 
-def _export(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> list[Path]:
+@dataclass(frozen=True)
+class _Planned:
+    """What becomes of a file: in which format, of which of its records, and where each is written."""
+
+    view: FileView
+    form: str | None
+    records: tuple[str, ...]
+    targets: tuple[Path, ...]
+
+
+def _planned(
+    services: Services, view: FileView, out: Path | None, options: ExportOptions, several: bool
+) -> _Planned:
+    """Say what becomes of a file, alone or not; refuse what cannot be before anything is written."""
+    from sms_jobs.formats.exporters import all_exporters
+
+    form = _form(view, out, options)
+    records: tuple[str, ...] = ("",)
+    if form is None or form == _PLAIN_HDF5:
+        if options.fields or options.record or options.frame != "world":
+            raise InvalidInput(
+                "`fields`, `record` and `frame` need a format: 'sms data formats' lists them"
+                if form is None
+                else "hdf5 takes the whole file; leave out `fields`, `record` and `frame`"
+            )
+        names = [f"{_stem(view)}.h5" if form else _sealed_name(view, several)]
+    else:
+        exporter = all_exporters()[form]
+        with services.archive.open(view) as dataset:
+            records = (options.record,) if options.record else tuple(_records(dataset, exporter))
+        if len(records) > 1 and out is not None and not out.is_dir():
+            raise InvalidInput(
+                f"file {view.id} has the records {', '.join(records)}: choose one as `record`, or give a "
+                "folder"
+            )
+        stems = [f"{_stem(view)}-{name}" for name in records] if len(records) > 1 else [_stem(view)]
+        names = [stem + exporter.suffix for stem in stems]
+    return _Planned(view, form, records, tuple(_target(out, name, options.force) for name in names))
+
+
+def _export(services: Services, planned: _Planned, options: ExportOptions) -> tuple[Path, ...]:
+    from sms_jobs.archive.repacking import repack
     from sms_jobs.formats.exporters import all_exporters
     from sms_jobs.formats.exporters.sources import source_for
 
-    form = _form(view, out, options)
-    if form == _PLAIN_HDF5:
-        return [_repacked(services, view, out, options)]
-    if form is None:
-        if options.fields or options.record or options.frame != "world":
-            raise InvalidInput("`fields`, `record` and `frame` need a format: 'sms data formats' lists them")
-        target = _target(out, PurePosixPath(view.path).name, options.force)
+    view = planned.view
+    if planned.form is None or planned.form == _PLAIN_HDF5:
         services.archive.verify_bytes(view)
-        with writing.new_file(target, options.force) as part:
-            services.archive.copy_out(view.path, part)
-        return [target]
-    written, exporter = [], all_exporters()[form]
+        with writing.new_file(planned.targets[0], options.force) as part:
+            if planned.form is None:
+                services.archive.copy_out(view.path, part)
+            else:  # as it is, but with the filters that every HDF5 library has
+                with services.archive.local(view.path) as sealed:
+                    repack(sealed, part, view.path)
+        return planned.targets
+    exporter = all_exporters()[planned.form]
     with services.archive.open(view) as dataset:
-        names = [options.record] if options.record else _records(dataset, exporter)
-        if len(names) > 1 and out is not None and not out.is_dir():
-            raise InvalidInput(
-                f"file {view.id} has the records {', '.join(names)}: choose one as `record`, or give a folder"
-            )
-        for name in names:
+        for name, target in zip(planned.records, planned.targets, strict=True):
             record: Any = dataset.read(name, dataset.record_class(name))
             if options.frame == "specimen":
                 record = _turned(services, view, record)
             source = source_for(exporter, record, options.fields, _texture(dataset, record))
-            stem = f"{_stem(view)}-{name}" if len(names) > 1 else _stem(view)
-            target = _target(out, f"{stem}{exporter.suffix}", options.force)
             with writing.new_file(target, options.force) as part:
                 exporter.write(source, part)
-            written.append(target)
-    return written
+    return planned.targets
+
+
+def _sealed_name(view: FileView, several: bool) -> str:
+    """Return the name of a sealed file; beside others it says what it is about, as its folders do."""
+    name = PurePosixPath(view.path).name
+    return f"{view.about.in_filename}-{name}" if several and view.about is not None else name
 
 
 def _stem(view: FileView) -> str:
     """Return how a file begins that holds something of another: with what that is about, and its source."""
     return view.source if view.about is None else f"{view.about.in_filename}-{view.source}"
-
-
-def _repacked(services: Services, view: FileView, out: Path | None, options: ExportOptions) -> Path:
-    """Write a dataset as it is, but with the filters that every HDF5 library has."""
-    from sms_jobs.archive.repacking import repack
-
-    if options.fields or options.record or options.frame != "world":
-        raise InvalidInput("hdf5 takes the whole file; leave out `fields`, `record` and `frame`")
-    target = _target(out, f"{_stem(view)}.h5", options.force)
-    services.archive.verify_bytes(view)
-    with writing.new_file(target, options.force) as part, services.archive.local(view.path) as sealed:
-        repack(sealed, part, view.path)
-    return target
 
 
 def _turned(services: Services, view: FileView, record: Any) -> Any:

@@ -179,6 +179,20 @@ def test_the_newest_of_a_kind_of_each_subject(services: Services, home: Path, he
     assert page.read_text() == "<p>page</p>"
 
 
+def test_sealed_files_of_several_subjects_have_names_of_their_own_and_are_all_written_or_none(
+    services: Services, home: Path, here: Path
+) -> None:
+    for state in ("S00", "S01"):
+        stored(services, "reconstruct", f"plate/{state}/C1P1", {"surface": cloud(1.0)})
+    export(home, kind="reconstruct", campaign="plate")
+    written = sorted(p.name for p in here.glob("*-reconstruct-*.h5"))
+    assert [name[:14] for name in written] == ["plate-S00-C1P1", "plate-S01-C1P1"]
+    (here / written[0]).unlink()
+    with pytest.raises(Conflict, match=f"{written[1]} already exists"):
+        export(home, kind="reconstruct", campaign="plate")
+    assert not (here / written[0]).exists()
+
+
 def test_several_records_need_a_choice_or_a_folder(services: Services, home: Path, here: Path) -> None:
     number = str(stored(services, "merge", "plate/S01", {"C1": cloud(), "C2": cloud(1.0), "mesh": mesh()}))
     with pytest.raises(InvalidInput, match="has the records C1, C2: choose one as `record`, or give"):
