@@ -91,11 +91,13 @@ def narrowed(mask: Mask, side: int, *, border_ends: bool = False) -> Mask:
 def distance_inside(mask: Mask) -> Singles:
     """Return the distance of each of the mask's pixels from the nearest that is none, in px; 0 for others.
 
-    The border of the image is none.
+    The border of the image is none. The squares are whole numbers: rounding them takes away what depends on
+    how many threads OpenCV has, which calls another library where it has one.
     """
     import cv2
 
-    return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    found = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(np.sqrt(np.rint(np.square(found))))
 
 
 def box_of(mask: Mask) -> tuple[slice, slice]:
