@@ -138,7 +138,7 @@ def mishaps(session: Session, random: np.random.Generator) -> Iterator[Mishap]:
     yield Mishap(
         "count",
         changed(frames, replace(sequence, densities=counted)),
-        ((f"{told} fringes are told", f"those of {densities[place]}:"),),
+        ((f"{told} fringes are stated", f"those of {densities[place]}:"),),
     )
     yield Mishap("steps", _other_steps(right), ((f"runs of {sequence.steps} phase steps",),))
     half = count // 2

@@ -216,7 +216,7 @@ def test_a_pair_that_numbers_spheres_otherwise_is_brought_into_line_and_named() 
 
 
 def test_a_bar_that_nobody_saw_is_refused() -> None:
-    with pytest.raises(CalibrationFailed, match="nobody saw a sphere of the bar in any of its 6 poses"):
+    with pytest.raises(CalibrationFailed, match="no camera saw a sphere of the bar in any of its 6 poses"):
         session().changed(OBSERVE_BAR, lambda seen: of_sphere(seen, 0)).calibrate()
 
 
