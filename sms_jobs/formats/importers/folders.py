@@ -65,8 +65,11 @@ def list_folder(folder: Path, only: str | None = None) -> Listing:
     InvalidInput
         It is none, cannot be read, or holds more files or deeper folders than are taken at once.
     """
-    if not folder.exists():
-        raise NotFound(f"there is no folder {folder}")
+    try:
+        if not folder.exists():
+            raise NotFound(f"there is no folder {folder}")
+    except OSError as error:  # its name is too long, or what is above it may not be looked into
+        raise InvalidInput(f"the folder {folder} cannot be read: {error.strerror}") from error
     if not folder.is_dir():
         raise InvalidInput(f"{folder} is no folder: give the folder that the files are in")
     root = folder.resolve()

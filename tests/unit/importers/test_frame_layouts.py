@@ -329,3 +329,8 @@ def test_every_state_has_the_noise_of_its_own_frames(tmp_path: Path, rng: np.ran
     models, remarks = camera_models(silent, layout)
     assert models[0] == models[1]
     assert "S00/C1P1" in remarks[1]
+
+
+def test_a_folder_whose_name_no_disk_takes_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="cannot be read: File name too long"):
+        list_folder(tmp_path / ("a" * 300))
