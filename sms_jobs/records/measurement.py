@@ -17,6 +17,9 @@ from sms_jobs.records.gray_code import GrayCode, Stripes
 from sms_jobs.records.quantity import array
 from sms_jobs.records.scene import Simulation
 
+LARGEST_STEPS = 4096
+"""Most phase steps of a density: a frame for each grey level of a camera of 12 bits."""
+
 
 @dataclass(frozen=True)
 class FringeSequence:
@@ -55,6 +58,8 @@ class FringeSequence:
     def __post_init__(self) -> None:
         if self.steps < 3:
             raise InvalidInput(f"a fringe sequence needs at least 3 phase steps, not {self.steps}")
+        if self.steps > LARGEST_STEPS:
+            raise InvalidInput(f"a fringe sequence has {LARGEST_STEPS} phase steps at most, not {self.steps}")
         below = [t for t in self.densities if not (t == 0 or 1 <= t < inf)]
         needed = self.densities or self.gray is None
         if below or (needed and max(self.densities, default=0) == 0):

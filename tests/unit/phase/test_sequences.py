@@ -7,6 +7,7 @@ import pytest
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.phase.sequences import SEQUENCES, named_sequence
 from sms_jobs.metrology.phase.unwrapping_plan import unwrapping_plan
+from sms_jobs.records.measurement import LARGEST_STEPS, FringeSequence
 
 
 @pytest.mark.parametrize(
@@ -42,3 +43,9 @@ def test_every_sequence_ends_where_it_says_and_can_be_unwrapped(kind: str, fring
 def test_other_names_are_refused(name: str) -> None:
     with pytest.raises(InvalidInput, match="reverse-exponential-S"):
         named_sequence(name)
+
+
+def test_phase_steps_are_limited() -> None:
+    FringeSequence((16,), LARGEST_STEPS)
+    with pytest.raises(InvalidInput, match="4096 phase steps at most, not 2147483647"):
+        FringeSequence((16,), 2**31 - 1)
