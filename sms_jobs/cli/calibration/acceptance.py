@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -45,12 +46,7 @@ def accept(
 
     Example: sms calibration accept 3; sms calibration accept 4 --campaign wing-fatigue
     """
-    with bootstrap.services(home) as services:
-        done = confirming(
-            because(services, reason),
-            password_stdin,
-            lambda who: calibrations.decide(who, number, campaign, in_use=True),
-        )
+    done = _decided(number, campaign, reason, password_stdin, home, in_use=True)
     _tell(done, campaign, as_json, in_use=True)
 
 
@@ -68,13 +64,25 @@ def withdraw(
 
     Example: sms calibration withdraw 3
     """
+    done = _decided(number, campaign, reason, password_stdin, home, in_use=False)
+    _tell(done, campaign, as_json, in_use=False)
+
+
+def _decided(
+    number: int,
+    campaign: str | None,
+    reason: str | None,
+    password_stdin: bool,
+    home: Path | None,
+    *,
+    in_use: bool,
+) -> Decision:
     with bootstrap.services(home) as services:
-        done = confirming(
+        return confirming(
             because(services, reason),
             password_stdin,
-            lambda who: calibrations.decide(who, number, campaign, in_use=False),
+            lambda who: calibrations.decide(who, number, campaign, in_use=in_use),
         )
-    _tell(done, campaign, as_json, in_use=False)
 
 
 def _tell(done: Decision, campaign: str | None, as_json: bool, *, in_use: bool) -> None:
