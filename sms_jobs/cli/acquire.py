@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from typing import Annotated
 
@@ -51,6 +50,7 @@ def run(
     missing: Annotated[
         bool, typer.Option("--missing", help="Of these only the states that are not recorded yet.")
     ] = False,
+    key: Annotated[bool, typer.Option("--key", help="Wait for Enter before each state.")] = False,
     ask: Ask = False,
     process: Process = False,
     no_wait: NoWait = False,
@@ -68,9 +68,12 @@ def run(
     """Record states, every view, and say whether the recordings can be used.
 
     They are recorded where the rig is connected, see 'sms rig', one after the other. Exit code 5 when one
-    needs an operator. Before a pose for which an artefact is placed by hand it waits for Enter.
+    needs an operator. Before a pose for which an artefact is placed by hand it waits for Enter. To record
+    at loads or in time, see 'sms acquire plan'.
 
     Example: sms acquire run wing-fatigue --state S03 --process
+
+    Example: sms acquire run wing-fatigue --missing --key
 
     Example: sms acquire run calibration-1 --missing
 
@@ -81,7 +84,7 @@ def run(
         if dry_run:
             _rehearse(services, plan, as_json)
             return
-        turns, session = plan.turns, plan.campaign.session
+        turns, session = plan.turns(at_key=key), plan.campaign.session
         if not turns:
             output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
             return
@@ -116,63 +119,6 @@ def _rehearse(services: Services, plan: Plan, as_json: bool) -> None:
     dry_run_.show(plan.campaign.name, done, as_json)
     if done.missing:
         raise typer.Exit(_FINDINGS)
-
-
-@app.command()
-def follow(
-    campaign: CampaignArgument,
-    on: Annotated[
-        str | None,
-        typer.Option(help="Channel of the rig: a state is recorded when it holds the state's value."),
-    ] = None,
-    tolerance: Annotated[
-        float | None, typer.Option(help="How near the channel must be, in its unit.", min=0.0)
-    ] = None,
-    hold: Annotated[float, typer.Option(help="Seconds that it must have stayed there.", min=0.0)] = 5.0,
-    every: Annotated[
-        float | None, typer.Option(help="Record the next state every so many seconds instead.", min=0.0)
-    ] = None,
-    key: Annotated[bool, typer.Option("--key", help="Record the next state at Enter instead.")] = False,
-    ask: Ask = False,
-    process: Process = False,
-    home: Home = None,
-) -> None:
-    """Follow a test: record one state after the other, each when its load is held, in time, or at a key.
-
-    Run it on the host of the rig, beside 'sms up'. It ends after the last state; started again it goes on
-    with the first that is not recorded. It stops when a recording needs an operator.
-
-    Example: sms acquire follow wing-fatigue --on load_n --tolerance 3000 --hold 10 --process
-
-    Example: sms acquire follow wing-fatigue --every 600
-    """
-    if [on is not None, every is not None, key].count(True) != 1:
-        raise InvalidInput("say what to wait for: one of --on CHANNEL, --every SECONDS and --key")
-    if on is not None and tolerance is None:
-        raise InvalidInput(f"say with --tolerance how near {on} must be to a state's value, in its unit")
-    with bootstrap.services(home) as services:
-        due = time.monotonic()
-        while True:
-            following = recordings.next_state(services, campaign)
-            if following is None:
-                output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
-                return
-            label = following.state.label
-            if on is not None and tolerance is not None:
-                target = following.value(on)
-                output.say(f"{label}: waiting for {on} = {target:g} +- {tolerance:g} for {hold:g} s")
-                recordings.wait_for_hold(services, following.rig, on, target, tolerance, hold)
-            elif every is not None:
-                output.say(f"{label}: in {max(0.0, due - time.monotonic()):.0f} s")
-                time.sleep(max(0.0, due - time.monotonic()))
-                due += every
-            else:
-                typer.prompt(f"{label}: Enter records it", default="", show_default=False, err=True)
-            _follow(
-                services,
-                recordings.record(services, campaign, (label,), ask=ask, process=process),
-                as_json=False,
-            )
 
 
 @app.command("list")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import func, select
-from support.command import answer, service, sms
+from support.command import answer, service, sms, wait_until
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.models import FileRow
@@ -169,19 +168,33 @@ def load_frame(home: Path, plan: Plan) -> Iterator[None]:
     thread.join()
 
 
-def follow(home: Path) -> subprocess.CompletedProcess[str]:
-    options = ("--on", "load_n", "--tolerance", "5", "--hold", "0.3", "--process")
-    return sms("acquire", "follow", "fatigue", *options, "--home", str(home), timeout=1500.0)
+def plan_all(home: Path) -> None:
+    """Plan every state at its load."""
+    options = ("--on", "load_n", "--tolerance", "5N", "--hold", "0.3s", "--process")
+    answer("acquire", "plan", "add", "fatigue", *options, "--home", str(home))
 
 
 def _needs_operator(home: Path, subject: str, why: str) -> str:
-    """Follow the test until a state needs an operator for a reason, and return its job."""
-    ended = follow(home)
-    assert ended.returncode == 5, ended.stderr
-    assert why in ended.stderr
-    (waiting,) = answer("acquire", "list", "--home", str(home))
-    assert (waiting["subject"], waiting["state"]) == (subject, "needs-operator")
-    return str(waiting["job_id"])
+    """Wait until a state needs an operator for a reason, and return its job."""
+
+    def waiting() -> list[dict[str, Any]]:
+        found = answer("acquire", "list", "--home", str(home))
+        return [one for one in found if one["state"] == "needs-operator"]
+
+    (stopped,) = wait_until(waiting, timeout=900.0)
+    assert stopped["subject"] == subject
+    assert why in stopped["reason"]
+    return str(stopped["job_id"])
+
+
+def _wait_for_the_end(home: Path) -> None:
+    """Wait until all that was planned is recorded, and every job has ended."""
+
+    def planned() -> set[str]:
+        return {one["status"] for one in answer("acquire", "plan", "show", "fatigue", "--home", str(home))}
+
+    wait_until(lambda: planned() == {"recorded"}, timeout=900.0)
+    answer("job", "wait", "-c", "fatigue", "--home", str(home), timeout=1500.0)
 
 
 def _resume(home: Path, job: str) -> None:
@@ -208,13 +221,12 @@ def _all_measured(home: Path, plan: Plan) -> dict[str, Any]:
 @pytest.mark.parametrize("plan", [SHORT], indirect=True)
 def test_a_cable_is_lost_in_an_unattended_test(home: Path, plan: Plan, load_frame: None) -> None:
     connect(home, plan, CABLE.replace("S06", "S01").replace("60", "30"), "")
+    plan_all(home)
     with service(home):
         lost = _needs_operator(home, "fatigue/S01", "camera C1 does not answer; check its cable")
         connect(home, plan, "", "")
         _resume(home, lost)
-        last = follow(home)
-        assert last.returncode == 0, last.stderr
-        answer("job", "wait", "-c", "fatigue", "--home", str(home))
+        _wait_for_the_end(home)
     statistics = _all_measured(home, plan)
     assert statistics["fatigue/S02/C1P1"]["retaken_frames"] == 1.0
     strains = answer("data", "find", "-c", "fatigue", "--kind", "strain", "--home", str(home))
@@ -225,6 +237,7 @@ def test_a_cable_is_lost_in_an_unattended_test(home: Path, plan: Plan, load_fram
 @pytest.mark.parametrize("plan", [WHOLE], indirect=True)
 def test_ten_states_are_recorded_and_reported(home: Path, plan: Plan, load_frame: None) -> None:
     connect(home, plan, CABLE, SERVO)
+    plan_all(home)
     with service(home):
         # S06 lost a cable and waits, and the servo at S08 hunts; nobody asked the load frame for more.
         lost = _needs_operator(home, "fatigue/S06", "camera C2 does not answer; check its cable")
@@ -235,9 +248,7 @@ def test_ten_states_are_recorded_and_reported(home: Path, plan: Plan, load_frame
         )
         connect(home, plan, "", "")
         _resume(home, hunting)
-        last = follow(home)
-        assert last.returncode == 0, last.stderr
-        assert answer("job", "wait", "-c", "fatigue", "--home", str(home), timeout=1500.0)
+        _wait_for_the_end(home)
         report = answer(
             "job", "submit", "report", "-c", "fatigue", "--wait", "--home", str(home), timeout=900.0
         )

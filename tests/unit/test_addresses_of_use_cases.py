@@ -52,7 +52,6 @@ WITHOUT_ADDRESS = {
     "people.confirmed": PART,
     "reading.newest": PART,  # GET /data/newest, then its arrays
     "reading.of_file": PART,  # GET /data/{key}/record
-    "recordings.wait_for_hold": AT_THE_SERVER,  # a plan does the same without a terminal
     "recordings.wait_for_recordings": PART,  # GET /jobs/wait
     "rigs.lend": AT_THE_SERVER,
     "rigs.simulation": AT_THE_SERVER,

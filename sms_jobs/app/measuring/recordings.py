@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,25 +12,21 @@ from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.errors import Conflict
-from sms_jobs.instruments.holding import Hold, HoldDetector
 from sms_jobs.jobs.asking.campaign_progress import progress_of
 from sms_jobs.jobs.planning.chosen import Chosen, by_ids, submitted
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
 from sms_jobs.jobs.planning.submission import Terms, submit_to
 from sms_jobs.jobs.recording import recordings
-from sms_jobs.jobs.recording.recordings import OpenRecording, PairVerdict, Turn, state_value
+from sms_jobs.jobs.recording.recordings import OpenRecording, PairVerdict, Turn
 from sms_jobs.jobs.running import orders
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.shown.state_progress import StateProgress
-from sms_jobs.records.units import in_unit_of_name
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
-
-_LOOK_EVERY_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -49,10 +44,12 @@ class Plan:
     campaign: Campaign
     states: tuple[LoadState, ...]
 
-    @property
-    def turns(self) -> list[Turn]:
-        """States that are recorded one after the other without a person; a new turn where one is needed."""
-        return recordings.turns(self.states)
+    def turns(self, *, at_key: bool = False) -> list[Turn]:
+        """Return the states that are recorded one after the other without a person.
+
+        A new turn begins where a person is needed, and with `at_key` at every state.
+        """
+        return recordings.turns(self.states, at_key=at_key)
 
 
 @use_case(Right.READ)
@@ -137,44 +134,6 @@ def wait_for_recordings(
     waited = wait_for(services, begun.jobs, tell=tell)
     with services.catalogue.reading() as session:
         return Recorded(waited, tuple(recordings.verdicts(session, begun.jobs)))
-
-
-@dataclass(frozen=True)
-class NextState:
-    """The state of a test that is to be recorded next, and by which rig."""
-
-    state: LoadState
-    rig: str
-
-    def value(self, channel: str) -> float:
-        """Return what a channel reads at the state, as planned; `InvalidInput` if that is not known."""
-        return state_value(self.state, channel)
-
-
-@use_case(Right.READ)
-def next_state(services: Services, campaign: str) -> NextState | None:
-    """Return the first state that is neither recorded nor waits; None where there is none."""
-    with services.catalogue.reading() as session:
-        state = recordings.next_state(session, campaign)
-        rig = definition(campaign_row(session, campaign)).rig
-    return None if state is None else NextState(state, rig)
-
-
-@use_case(Right.READ)
-def wait_for_hold(
-    services: Services, rig: str, channel: str, target: float, tolerance: float, seconds: float
-) -> None:
-    """Return when a channel has been near a value for some time; the instruments are let go before that.
-
-    Value and tolerance are in the unit of the channel's name.
-    """
-    from sms_jobs.instruments.connection import channel_reader
-
-    detector, described = HoldDetector(Hold(target, tolerance, seconds)), services.stations.rig(rig)
-    with channel_reader(described, channel) as read:
-        unit = next(one.unit for one in described.serial.channels if one.name == channel)
-        while not detector.held(time.monotonic(), in_unit_of_name(channel, read(), unit)):
-            time.sleep(_LOOK_EVERY_S)
 
 
 @use_case(Right.READ)

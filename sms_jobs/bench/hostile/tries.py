@@ -13,7 +13,7 @@ from sms_jobs.bench.hostile.values import NUMBERS, hostile_text, known_text
 
 ENDLESS = frozenset(
     {"job wait", "job watch", "metrics", "rig serve", "rig simulate", "acquire show", "acquire run",
-     "acquire follow", "acquire resume", "acquire stream", "acquire plan watch"}
+     "acquire resume", "acquire stream", "acquire plan watch"}
 )  # fmt: skip
 """Commands that may go on until somebody interrupts them."""
 

@@ -153,11 +153,6 @@ def requests(
     return [*found, Request(PIPELINE, {}, states)] if process else found
 
 
-def next_state(session: Session, name: str) -> LoadState | None:
-    """Return the first state of a campaign that is neither recorded nor about to be; None when all are."""
-    return next(iter(unrecorded(session, name)), None)
-
-
 @dataclass(frozen=True)
 class Turn:
     """States that are recorded one after the other while nobody lays a hand on anything.
@@ -174,11 +169,11 @@ class Turn:
     labels: tuple[str, ...]
 
 
-def turns(states: Sequence[LoadState]) -> list[Turn]:
+def turns(states: Sequence[LoadState], *, at_key: bool = False) -> list[Turn]:
     """Return the order in which states are recorded, with what somebody has to do between them.
 
-    A specimen is loaded by others. An artefact without angles of a stage is placed by hand, pose by pose;
-    one on a stage is mounted once.
+    A specimen is loaded by others; with `at_key` somebody says of each state that its load is there. An
+    artefact without angles of a stage is placed by hand, pose by pose; one on a stage is mounted once.
     """
     found: list[Turn] = []
     mounted: str | None = None
@@ -189,6 +184,8 @@ def turns(states: Sequence[LoadState]) -> list[Turn]:
             by_hand = f"{state.label}: place the {state.artefact}"
         elif state.artefact is not None and state.artefact != mounted:
             by_hand = f"{state.label}: mount the {state.artefact} on the stage"
+        elif at_key:
+            by_hand = f"{state.label} is next"
         mounted = state.artefact if on_stage else None
         if by_hand or not found:
             found.append(Turn(by_hand, (state.label,)))

@@ -10,7 +10,6 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from sms_jobs.app.measuring import last_frames, recordings
-from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.shown.last_frames import LastFrame
 from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.web.api.files import PNG
@@ -69,15 +68,6 @@ class Planned:
     turns: tuple[tuple[str, ...], ...]
 
 
-@dataclass(frozen=True)
-class Next:
-    """The state that is to be recorded next; None where there is none."""
-
-    campaign: str
-    rig: str | None
-    state: LoadState | None
-
-
 @ROUTES.offer("GET", "/recordings", recordings.open_recordings, answers=returned(recordings.open_recordings))
 def open_recordings(services: Acting) -> Any:
     """Return the recordings that run or wait."""
@@ -95,7 +85,7 @@ def record(services: Acting, body: NewRecordings) -> Any:
 def plan(services: Acting, campaign: Text, states: Labels, missing: bool = False) -> Any:
     """Say which states would be recorded."""
     found = recordings.plan(services, campaign, states, missing=missing)
-    turns = tuple(turn.labels for turn in found.turns)
+    turns = tuple(turn.labels for turn in found.turns())
     labels = tuple(state.label for state in found.states)
     return answer(Planned(found.campaign.name, found.campaign.rig, labels, turns))
 
@@ -105,13 +95,6 @@ def rehearse(services: Acting, campaign: Text, states: Labels, missing: bool = F
     """Say what recording states would take."""
     found = recordings.plan(services, campaign, states, missing=missing)
     return answer(recordings.rehearse(services, found))
-
-
-@ROUTES.offer("GET", "/recordings/next", recordings.next_state, answers=Next)
-def next_state(services: Acting, campaign: Text) -> Any:
-    """Return the state that is to be recorded next."""
-    found = recordings.next_state(services, campaign)
-    return answer(Next(campaign, None, None) if found is None else Next(campaign, found.rig, found.state))
 
 
 @ROUTES.offer("POST", "/recordings/process", recordings.process, answers=dict[str, int])

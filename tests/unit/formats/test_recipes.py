@@ -94,3 +94,11 @@ def test_boards_are_placed_one_by_one_and_a_bar_is_mounted_once() -> None:
     assert len(by_hand[2].labels) == 25
     assert turns(parsed(TEST).states) == [Turn("", ("S00", "S00.2", "S00.3", "S01"))]
     assert turns(()) == []
+
+
+def test_each_state_is_a_turn_of_its_own_where_somebody_presses_a_key() -> None:
+    states = ("S00", "S00.2", "S00.3", "S01")
+    assert turns(parsed(TEST).states, at_key=True) == [Turn(f"{one} is next", (one,)) for one in states]
+    poses = [turn.by_hand for turn in turns(parsed(SESSION).states, at_key=True)]
+    assert poses[:3] == ["B01: place the chess", "B02: place the chess", "S01: mount the bar on the stage"]
+    assert poses[3:] == [f"S{number:02d} is next" for number in range(2, 26)]

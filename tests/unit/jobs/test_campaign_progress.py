@@ -18,7 +18,7 @@ from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.asking.campaign_progress import progress_of
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
-from sms_jobs.jobs.recording.recordings import next_state
+from sms_jobs.jobs.recording.recordings import unrecorded
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -119,9 +119,9 @@ def test_what_was_imported_is_recorded_and_judged_by_nobody(services: Services) 
 def test_an_imported_image_does_not_stand_for_the_fringes_of_its_state(services: Services) -> None:
     with services.catalogue.writing() as session:
         add(session, "measurement", "S00", "C3", 1)
-        assert next_state(session, "plate").label == "S00"
+        assert unrecorded(session, "plate")[0].label == "S00"
         add(session, "measurement", "S00", "C1P1", 2)
-        assert next_state(session, "plate").label == "S01"
+        assert unrecorded(session, "plate")[0].label == "S01"
 
 
 def test_a_state_of_several_cameras_is_recorded_when_all_of_them_are(services: Services) -> None:
@@ -131,9 +131,7 @@ def test_a_state_of_several_cameras_is_recorded_when_all_of_them_are(services: S
     register_campaign(services.catalogue, services.archive, lit, None, NOW)
 
     def next_of(session: Session, name: str) -> str:
-        state = next_state(session, name)
-        assert state is not None
-        return state.label
+        return unrecorded(session, name)[0].label
 
     with services.catalogue.writing() as session:
         add(session, "measurement", "S00", "C1", 1, "pair")

@@ -15,7 +15,7 @@ from sqlalchemy import select
 from support.command import wait_until
 
 from sms_jobs import bootstrap
-from sms_jobs.app.measuring import planned_recordings, recordings
+from sms_jobs.app.measuring import planned_recordings
 from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.models import JobRow
@@ -184,16 +184,18 @@ def test_a_wire_is_let_go_of_before_the_recording_begins(
 
 
 def test_a_hold_is_in_the_unit_of_the_channels_name(
-    services: Services, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    services: Services, planner: Planner, tmp_path: Path
 ) -> None:
     in_kn = RIG.replace("LOAD", str(tmp_path / "load.csv")).replace('unit = "N"', 'unit = "kN"')
     (tmp_path / "rig.toml").write_text(in_kn)
     services.stations.add(tmp_path / "rig.toml", replace=True)
+    planned_recordings.plan(services, "wing", at_load(), states=("S01",))
+    reads(tmp_path, 100.0)  # kN
+    turn(planner)
+    assert recorded(services) == []
     reads(tmp_path, 0.1)
-    monkeypatch.setattr(
-        "sms_jobs.app.measuring.recordings.time.sleep", lambda _s: pytest.fail("100 N are not seen")
-    )
-    recordings.wait_for_hold(services, "bench", "load_n", 100.0, 5.0, 0.0)
+    turn(planner)
+    assert recorded(services) == ["wing/S01"]
 
 
 def test_a_count_is_waited_for(services: Services, planner: Planner, tmp_path: Path) -> None:
