@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import InvalidInput, OtherFormat
+from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.estimates import Estimated, name_of
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.quantity import array
@@ -169,9 +169,10 @@ class CalibrationQuality:
         Of every pose of a ball bar, its length by a calibration that it took no part in, less the certified.
     board_rms_px
         Of every pose of a board, the residuals by a calibration that it took no part in.
-    found
-        What was found of the artefacts themselves and what lenses were held at, as people are shown it; names
-        carry the unit.
+    estimates
+        What was found of artefacts and cameras.
+    held
+        What parameters of lenses were held at; names carry the unit.
     views
         Views that measure points, C1P1 or of cameras alone C1C2, in the order of `expected_sigma`.
     place, expected_sigma
@@ -183,9 +184,6 @@ class CalibrationQuality:
     shape_sigma_mm
         Standard deviation of a point in the volume from the calibration alone, but for motions and the scale
         of the whole, of the view that knows it worst; None where it was not asked for.
-    estimates
-        What was found of artefacts and cameras, for whoever goes on with it; None where an older version has
-        kept `found` alone.
     """
 
     gauge: str
@@ -200,7 +198,8 @@ class CalibrationQuality:
     warnings: tuple[str, ...]
     bar_length_error_mm: dict[str, float]
     board_rms_px: dict[str, float]
-    found: dict[str, float]
+    estimates: tuple[Estimate, ...]
+    held: dict[str, float]
     views: tuple[str, ...]
     place: NDArray[np.float64] = array("mm", "place in the volume", ("place", "component"), ("X", "Y", "Z"))
     expected_sigma: NDArray[np.float64] = array(
@@ -215,18 +214,14 @@ class CalibrationQuality:
     )
     scale: str = ""
     shape_sigma_mm: float | None = None
-    estimates: tuple[Estimate, ...] | None = None
+
+    def labelled(self) -> dict[str, float]:
+        """Return what was found and what was held, as tables for people have it, by names with the unit."""
+        found = {name: value for one in self.estimates for name, value in one.labelled().items()}
+        return found | self.held
 
     def estimate(self, what: Estimated, owner: str) -> Estimate | None:
-        """Return what was found of an artefact as a whole, or of a camera; None where nothing was.
-
-        Raises `OtherFormat` where an older version has kept nothing but what people are shown.
-        """
-        if self.estimates is None:
-            raise OtherFormat(
-                f"the calibration has the {name_of(what, owner)} only in words, as an older version wrote "
-                f"it: calibrate its session again, and accept the result"
-            )
+        """Return what was found of an artefact as a whole, or of a camera; None where nothing was."""
         same = (e for e in self.estimates if (e.what, e.owner, e.sphere) == (what, owner, None))
         return next(same, None)
 

@@ -113,7 +113,7 @@ def quality_summary(quality: CalibrationQuality) -> QualitySummary:
         quality.gauge,
         quality.scale,
         quality.shape_sigma_mm,
-        dict(quality.found),
+        quality.labelled(),
         quality.residuals,
         quality.parameters,
         {name: _known(value) for name, value in quality.rms_by_type.items()},

@@ -78,7 +78,7 @@ def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
             ("began with", quality.started_from),
             ("adjustment", f"{size}, {quality.iterations} iterations"),
             ("held-out bar lengths", lengths),
-            *((name, f"{value:.6g}") for name, value in quality.found.items()),
+            *((name, f"{value:.6g}") for name, value in quality.labelled().items()),
         ]
     )
 

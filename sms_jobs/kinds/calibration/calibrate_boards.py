@@ -212,9 +212,7 @@ def adjusted(
     uncertainty = uncertainty_of(found)
     doubts = (*doubts, *board_doubts(problem, found), *doubts_of(start, boards, bars))
     quality = quality_of(plan, start, calibration, found, held_out, problem, boards, bars, doubts)
-    quality = replace(
-        quality, found={**quality.found, **held_values(calibration.rig, parameters.fixed, models)}
-    )
+    quality = replace(quality, held=held_values(calibration.rig, parameters.fixed, models))
     progress(0.9, "writing the page")
     products: dict[Product[Any], Any] = {CALIBRATED: calibration, UNCERTAINTY: uncertainty, QUALITY: quality}
     yield DatasetOutput(inputs.subject, products, _statistics(calibration, quality, found))
@@ -263,7 +261,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality, found: Ad
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=10,
+    version=11,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),

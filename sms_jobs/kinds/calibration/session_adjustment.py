@@ -372,7 +372,6 @@ def quality_of(
     used = [np.isfinite(r).all(axis=1) for r in found.residual_board]
     points = [*zip(problem.board_points, found.residual_board, used, strict=True)]
     none = np.empty((0, 2))
-    estimates = (*map(_estimate, found.nuisance), *_blurs(plan, boards))
     return CalibrationQuality(
         gauge=found.gauge,
         started_from=start.origin,
@@ -386,7 +385,8 @@ def quality_of(
         warnings=(*found.warnings, *held_out.failed, *doubts),
         bar_length_error_mm={b.pose: b.error_mm for b in held_out.bars},
         board_rms_px={b.pose: _both(b.camera_rms_px, b.projector_rms_px) for b in held_out.boards},
-        found={name: value for one in estimates for name, value in one.labelled().items()},
+        estimates=(*map(_estimate, found.nuisance), *_blurs(plan, boards)),
+        held={},
         views=tuple("".join(pair) for pair in pairs),
         place=place,
         expected_sigma=np.stack(sigma) if sigma else np.empty((0, len(place))),
@@ -395,7 +395,6 @@ def quality_of(
         residual=np.concatenate([none, *(r[k] for _, r, k in points)]),
         scale=_scale(plan, start, found, problem),
         shape_sigma_mm=found.shape_sigma_mm,
-        estimates=estimates,
     )
 
 

@@ -1,4 +1,4 @@
-"""What a calibration found of artefacts is sealed by name, beside the table that people are shown."""
+"""What a calibration found of artefacts is sealed by name; the table for people follows from it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.archive.codec import layout_of, plain_to_json, record_from_parts
-from sms_jobs.errors import ArchiveCorrupt, OtherFormat
+from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.metrology.calibration.estimates import Estimated, name_of
 from sms_jobs.records.calibration import CalibrationQuality, Estimate
 
@@ -26,14 +26,14 @@ def quality() -> CalibrationQuality:
     return CalibrationQuality(
         *("board frame of pose B01", "the boards alone", 6, 2000, 30),
         *(nothing, nothing, nothing, {}, (), nothing, nothing),
-        found={name: value for one in ESTIMATES for name, value in one.labelled().items()},
+        estimates=ESTIMATES,
+        held={"k2 of C1, held [1]": 0.05},
         views=(),
         place=np.empty((0, 3)),
         expected_sigma=np.empty((0, 0)),
         residual_sensor=np.empty(0, np.int32),
         residual_px=np.empty((0, 2)),
         residual=np.empty((0, 2)),
-        estimates=ESTIMATES,
     )
 
 
@@ -48,21 +48,16 @@ def test_estimates_are_read_as_they_were_sealed() -> None:
     assert made.estimate(Estimated.PITCH_SCALE, "board") == ESTIMATES[2]
     assert made.estimate(Estimated.PITCH_SCALE, "bar") is None
     assert made.estimate(Estimated.RADIUS, "bar") is None  # there is one of each sphere
-    assert list(made.found)[2:5] == [
-        "radius of sphere 2 of bar [mm]",
-        "radius of sphere 2 of bar, sigma [mm]",
-        "pitch scale of board [1]",
-    ]
-
-
-def test_what_an_older_version_sealed_is_read_and_says_what_it_lacks() -> None:
-    made = quality()
-    older = json.loads(plain_to_json(made))
-    del older["estimates"]
-    found = read(json.dumps(older), made)
-    assert found.found == made.found
-    with pytest.raises(OtherFormat, match="the blur of C1 only in words, as an older version wrote it"):
-        found.estimate(Estimated.BLUR, "C1")
+    assert made.labelled() == {
+        "length of bar [mm]": 500.0021,
+        "length of bar, sigma [mm]": 0.0004,
+        "radius of sphere 2 of bar [mm]": 30.001,
+        "radius of sphere 2 of bar, sigma [mm]": 0.001,
+        "pitch scale of board [1]": 1.0002,
+        "pitch scale of board, sigma [1]": 3e-5,
+        "blur of C1 [px]": 0.55,
+        "k2 of C1, held [1]": 0.05,
+    }
 
 
 def test_what_a_newer_version_estimates_is_refused_by_name() -> None:

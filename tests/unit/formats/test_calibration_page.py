@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from sms_jobs.formats.report.calibration import calibration_page
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
-from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
+from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty, Estimate
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
 CALIBRATION, _ = top_hat_bending("page", "small")
@@ -34,7 +35,8 @@ def quality(rng: np.random.Generator, **changes: object) -> CalibrationQuality:
         warnings=(),
         bar_length_error_mm={"S01": 0.012, "S02": -0.016},
         board_rms_px={"B01": 0.021},
-        found={"bar length [mm]": 500.0021},
+        estimates=(Estimate(Estimated.LENGTH, "bar", 500.0021),),
+        held={},
         views=views,
         place=place,
         expected_sigma=sigma,

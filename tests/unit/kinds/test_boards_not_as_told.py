@@ -52,8 +52,8 @@ def found_bow(quality: CalibrationQuality) -> tuple[float, float]:
     assert bow is not None
     assert bow.sigma is not None
     # People read the same numbers.
-    assert quality.found["bow along x of board [mm]"] == bow.value
-    assert quality.found["bow along x of board, sigma [mm]"] == bow.sigma
+    assert quality.labelled()["bow along x of board [mm]"] == bow.value
+    assert quality.labelled()["bow along x of board, sigma [mm]"] == bow.sigma
     return bow.value, bow.sigma
 
 
@@ -198,10 +198,10 @@ def test_parameters_are_held_by_name_or_value_or_not_at_all() -> None:
     kept = calibrated(made, fixed="k2")
     for sensor in kept.calibration.rig.sensors:
         # What the boards told of it at first, and the page says so.
-        assert kept.quality.found[f"k2 of {sensor.name}, held [1]"] == sensor.intrinsics.k2 != 0.0
+        assert kept.quality.labelled()[f"k2 of {sensor.name}, held [1]"] == sensor.intrinsics.k2 != 0.0
     found = calibrated(made, fixed="k2=0.05,k3")
     assert all(s.intrinsics.k2 == 0.05 and s.intrinsics.k3 == 0.0 for s in found.calibration.rig.sensors)
-    assert found.quality.found["k2 of C1, held [1]"] == 0.05
+    assert found.quality.labelled()["k2 of C1, held [1]"] == 0.05
     free = calibrated(made, fixed="none")
     assert all(s.intrinsics.k3 != 0.0 and s.intrinsics.skew == 0.0 for s in free.calibration.rig.sensors)
 

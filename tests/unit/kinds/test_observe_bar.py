@@ -110,7 +110,7 @@ def test_the_blur_comes_from_the_board() -> None:
     quality: CalibrationQuality = session.records[CALIBRATE_BOARDS, "session"]["quality"]
     blur = quality.estimate(Estimated.BLUR, "C1")
     assert blur is not None
-    assert quality.found["blur of C1 [px]"] == blur.value
+    assert quality.labelled()["blur of C1 [px]"] == blur.value
     told = blur.value
     first = session.copy().run(observe_bar, ORDINARY_FIRST)["observation"]
     same = session.copy().run(observe_bar, ORDINARY_FIRST, blur_px=told)["observation"]
