@@ -9,11 +9,12 @@ from typing import Annotated, Literal
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.specimens import campaigns
+from sms_jobs.app.specimens import campaign_matrix, campaigns
 from sms_jobs.cli import completion, output, simulated, specimen_frame
 from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.records.job import SHORT_ID
 from sms_jobs.records.units import typed
 
 app = typer.Typer(
@@ -220,4 +221,26 @@ def show(
             for s in campaign.states
         ],
         empty="",
+    )
+
+
+@app.command()
+def matrix(
+    name: Annotated[str, typer.Argument(autocompletion=completion.campaign_names)],
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Show what there is of each state, view and kind, whether it still holds, and why it does not.
+
+    Example: sms campaign matrix wing-fatigue --json
+    """
+    with bootstrap.services(home) as services:
+        found = campaign_matrix.matrix(services, name)
+    if as_json:
+        output.print_json_list(found)
+        return
+    output.print_table(
+        ["state", "view", "kind", "condition", "why", "file", "job"],
+        [(c.state, c.view, c.kind, c.condition, c.why, c.file, (c.job or "")[:SHORT_ID]) for c in found],
+        empty=f"nothing of {name} is measured or computed yet; see 'sms job submit --help'",
     )

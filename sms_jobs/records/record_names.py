@@ -6,6 +6,12 @@ It is a name and, where a file has several records of that name, a key behind it
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+PICTURED: Final = frozenset(
+    {"measurement", "surface", "displacement", "strain", "assessment", "merged", "deviation"}
+)
+"""Names of the records that are images."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -99,6 +99,7 @@ def duration(seconds: float | None) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
+@lru_cache(maxsize=64)
 def state(name: str) -> Markup:
     """Write the state of a job: by its word, and by a colour."""
     return Markup('<span class="state {}">{}</span>').format(_STATES.get(name, "off"), name)

@@ -23,6 +23,14 @@ def stale(catalogue: Catalogue) -> set[tuple[str, str | None]]:
     return {(cell.kind, cell.state) for cell in cells if cell.condition == "stale"}
 
 
+def reasons(catalogue: Catalogue) -> dict[tuple[str, str | None], str]:
+    """Return why each stale result is shown as stale."""
+    with catalogue.reading() as session:
+        cells = campaign_matrix.matrix(session, campaigns.campaign_row(session, "plate"), datetime.now(UTC))
+    assert all(bool(cell.why) == (cell.condition == "stale") for cell in cells)
+    return {(cell.kind, cell.state): cell.why for cell in cells if cell.why}
+
+
 def explained(catalogue: Catalogue, job: str) -> list[str]:
     with catalogue.reading() as session:
         told = inquiry.explain(session, session.get_one(JobRow, job), datetime.now(UTC))
@@ -44,6 +52,10 @@ def test_what_was_made_of_an_input_that_was_made_again_is_stale_however_far_down
         "it is stale: its input correlate plate/S01/C1P1 was made again, with other contents"
     ]
     assert any("is stale" in line for line in explained(catalogue, of["merge", "plate/S01"]))
+
+    told = reasons(catalogue)
+    for kind, subject in (("strain", "plate/S01/C1P1"), ("merge", "plate/S01")):
+        assert explained(catalogue, of[kind, subject]) == [f"it is stale: {told[kind, 'S01']}"]
 
     # To have gone back makes all of it good again, and nothing else is computed for that.
     run_jobs(catalogue, archive, clock, [Request("correlate")])

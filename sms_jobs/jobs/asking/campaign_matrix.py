@@ -9,6 +9,7 @@ from typing import TypeAlias
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue.models import (
     CampaignRow,
     FileRow,
@@ -19,6 +20,7 @@ from sms_jobs.jobs.results.stale import stale_files
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.job import ACTIVE, JobState
+from sms_jobs.records.record_names import PICTURED
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.records.subject import Subject
 
@@ -35,24 +37,27 @@ class _File:
 def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
     """Return what there is of a campaign, the oldest first, in a few queries however large it is.
 
-    What is stale, `stale_files` says. Where the newest job has reused a result, that is what there is.
+    What is stale, and why, `stale_files` says. Where the newest job has reused a result, that is what there
+    is.
     """
     files, by_job = _files(session, campaign.id)
     jobs = _jobs(session, campaign)
-    stale = stale_files(session, campaign, now)
+    stale, pictured = stale_files(session, campaign, now), _pictured_kinds()
     cells = []
     for state, view, kind in dict.fromkeys([*files, *jobs]):
         place = (state, view, kind)
         job = jobs.get(place)
         file = by_job.get((place, "" if job is None else job.reused_from or ""), files.get(place))
+        why = ""
         if job is not None and job.state is not JobState.SUCCEEDED and (file is None or _tells(job.state)):
-            condition = job.state.value
+            condition, why = job.state.value, job.why
         elif file is None or (kind != MEASUREMENT and kind not in all_kinds()):
             continue  # not made yet, or no result: the definition of the campaign
         elif kind == MEASUREMENT:
             condition = "measured"
         else:
-            condition = "stale" if file.number in stale else "computed"
+            why = stale.get(file.number, "")
+            condition = "stale" if why else "computed"
         cells.append(
             Cell(
                 *place,
@@ -60,6 +65,8 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
                 None if file is None else file.number,
                 "" if file is None else file.media_type,
                 None if job is None else job.id,
+                why,
+                file is not None and file.media_type == DATASET_MEDIA_TYPE and kind in pictured,
             )
         )
     return cells
@@ -70,11 +77,20 @@ def _tells(state: JobState) -> bool:
     return state in ACTIVE or state in (JobState.FAILED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR)
 
 
+def _pictured_kinds() -> set[str]:
+    """Return the kinds whose results have fields over an image, with the word for measurements."""
+    of_kinds = {
+        name for name, kind in all_kinds().items() if any(one.name in PICTURED for one in kind.records)
+    }
+    return of_kinds | {MEASUREMENT}
+
+
 @dataclass(frozen=True)
 class _Job:
     id: str
     state: JobState
     reused_from: str | None
+    why: str
 
 
 def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dict[tuple[_Place, str], _File]]:
@@ -103,12 +119,21 @@ def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dic
 def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, _Job]:
     """Return the newest job of each place."""
     rows = session.execute(
-        select(JobRow.subject, JobRow.kind, JobRow.id, JobRow.state, JobRow.reused_from)
+        select(
+            JobRow.subject,
+            JobRow.kind,
+            JobRow.id,
+            JobRow.state,
+            JobRow.reused_from,
+            JobRow.error,
+            JobRow.message,
+        )
         .where(JobRow.campaign_id == campaign.id)
         .order_by(JobRow.position)
     )
     found: dict[_Place, _Job] = {}
-    for subject, kind, job, state, reused_from in rows:
+    for subject, kind, job, state, reused_from, error, message in rows:
         about = Subject.parse(subject)
-        found[about.state, about.view, kind] = _Job(job, state, reused_from)
+        why = "" if state in ACTIVE else error or message
+        found[about.state, about.view, kind] = _Job(job, state, reused_from, why)
     return found

@@ -23,6 +23,11 @@ class Cell:
         Of that file; empty without one.
     job
         The newest job; None where there was none.
+    why
+        Why a result is stale, or what was wrong with the newest job where that has ended without one: one
+        sentence without its full stop. Empty otherwise.
+    pictured
+        Whether the file has a field over an image, of which there is a small picture.
     """
 
     state: str | None
@@ -32,3 +37,5 @@ class Cell:
     file: int | None
     media_type: str
     job: str | None
+    why: str
+    pictured: bool

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import Path, Query
+from fastapi import Header, Path, Query
 from fastapi.responses import Response
 
+import sms_jobs
 from sms_jobs.app.fields import field_gauges, field_pages, field_values
 from sms_jobs.app.fields.field_sources import SAMPLES
+from sms_jobs.app.holdings import sealed_files
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.routes import Routes, answer
+from sms_jobs.web.validators import has_already
 
 ROUTES = Routes("drawing")
 
@@ -45,12 +48,21 @@ def values(
 
 @ROUTES.offer("GET", "/fields/{file}/first.png", field_values.first_picture, media=["image/png"])
 def first_picture(
-    services: Acting, file: File, part: Part = None, name: Annotated[str | None, Query()] = None
+    services: Acting,
+    file: File,
+    part: Part = None,
+    name: Annotated[str | None, Query()] = None,
+    unless: Annotated[str | None, Header(alias="if-none-match")] = None,
 ) -> Response:
-    """Return a small picture."""
-    return Response(
-        field_values.first_picture(services, str(file), part=part, name=name), media_type="image/png"
-    )
+    """Return a small picture, unless whoever asks has it already."""
+    of = sealed_files.sealed_file(services, str(file)).file
+    # The same file drawn by the same version is the same picture; a browser keeps it, and asks each time.
+    tag = f'"{of.sha256 or of.content_hash}-{sms_jobs.__version__}"'
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache"}
+    if has_already(unless, tag):
+        return Response(status_code=304, headers=headers)
+    drawn = field_values.first_picture(services, str(file), part=part, name=name)
+    return Response(drawn, headers=headers, media_type="image/png")
 
 
 @ROUTES.offer("GET", "/fields/{file}/at", field_values.value_at)

@@ -24,6 +24,7 @@ from sms_jobs.web.byte_ranges import range_of
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.request_bodies import Number, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
+from sms_jobs.web.validators import has_already
 
 ROUTES = Routes("files")
 
@@ -103,7 +104,7 @@ def file(
     """Return the sealed file as it is, or a range of its bytes."""
     found = sealed_files.sealed_file(services, str(key))
     size, headers = found.file.size_bytes, _headers(found)
-    if unless is not None and (unless == "*" or headers["ETag"] in unless.replace("W/", "").split(", ")):
+    if has_already(unless, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     try:
         part = range_of(asked, size) if only_of in (None, headers["ETag"]) else None

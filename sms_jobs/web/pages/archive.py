@@ -10,17 +10,12 @@ from fastapi.responses import HTMLResponse
 from sms_jobs.app.holdings import archive, files, finding
 from sms_jobs.app.specimens import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.records.record_names import RecordName
+from sms_jobs.records.record_names import PICTURED, RecordName
 from sms_jobs.records.shown.files import Page as Found
 from sms_jobs.web.console import Entry, Page, Pages
 from sms_jobs.web.lineage import drawn
 
 PAGES = Pages("archive", Entry("Archive", "/archive", 50))
-
-PICTURED = frozenset(
-    {"measurement", "surface", "displacement", "strain", "assessment", "merged", "deviation"}
-)
-"""Records that are images, by the name that files keep them under."""
 
 
 @PAGES.show("/archive", finding.find)

@@ -15,7 +15,6 @@ from sms_jobs.app.work import jobs, kinds
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.web.console import Entry, Page, Pages
-from sms_jobs.web.pages.archive import PICTURED
 
 PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
 
@@ -31,6 +30,12 @@ class Row:
     state: str
     view: str
     cells: tuple[Cell | None, ...]
+
+    @property
+    def picture(self) -> Cell | None:
+        """The newest of these whose file has a small picture; None where there is none."""
+        shown = [cell for cell in self.cells if cell is not None and cell.pictured]
+        return max(shown, key=lambda cell: cell.file or 0, default=None)
 
 
 @dataclass(frozen=True)
@@ -55,11 +60,7 @@ def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
     offered = kinds.list_kinds(services)
     order = list(dict.fromkeys(cell.kind for cell in cells))
     states = [state.label for state in story.campaign.states]
-    images = {
-        "measurement",
-        *(k.name for k in offered if any(o.record and o.name in PICTURED for o in k.outputs)),
-    }
-    pictured = [c for c in cells if c.view is not None and c.file is not None and c.kind in images]
+    pictured = [c for c in cells if c.view is not None and c.pictured]
     documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
     return page.render(
         "campaign.html",

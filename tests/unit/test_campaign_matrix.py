@@ -1,0 +1,168 @@
+"""What there is of a campaign, cell by cell: the same for a command, a program and a page, however large."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import httpx2
+import numpy as np
+import pytest
+from sqlalchemy import insert, update
+from support.homes import WHEN, make_home, stored
+from support.over_http import app_of, served
+from support.statements import heard
+from typer.testing import CliRunner
+
+from sms_jobs import bootstrap
+from sms_jobs.app.work import jobs
+from sms_jobs.app.work.jobs import Work
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue.models import FileRow, JobRow, ResultRow
+from sms_jobs.cli import campaign as command
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.kinds import all_kinds
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.job import JobState
+from sms_jobs.virtual_rig.campaigns import small_plate
+
+FAILED = "no texture: <b>0</b> matches of 900, and 50 are needed; light the specimen"
+STATES, VIEWS = 300, 8
+
+
+def surface() -> Surface:
+    y, x = np.mgrid[0:60, 0:80].astype(float)
+    return Surface("C1P1", "mm", np.stack([x, y, x * y]), np.zeros((60, 80), np.uint32))
+
+
+@pytest.fixture(scope="module")
+def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
+    """A home with one stale surface, one that holds, and a job that failed."""
+    home = tmp_path_factory.mktemp("matrix") / "home"
+    make_home(home, {})
+    with bootstrap.services(home, "web") as services:
+        jobs.submit(services, Work("plate", ("simulate", "pipeline")))
+        for number, state in enumerate(("S00", "S01"), 1):
+            file = stored(services, "reconstruct", f"plate/{state}/C1P1", {"surface": surface()}, number)
+            version = all_kinds()["reconstruct"].version - (state == "S00")
+            with services.catalogue.writing() as session:
+                session.add(ResultRow(file_id=file, kind="reconstruct", kind_version=version))
+        with services.catalogue.writing() as session:
+            of = JobRow.kind == "reconstruct"
+            session.execute(update(JobRow).where(of).values(state=JobState.SUCCEEDED))
+            of = (JobRow.kind == "correlate") & (JobRow.subject == "plate/S01/C1P1")
+            session.execute(update(JobRow).where(of).values(state=JobState.FAILED, error=FAILED))
+        yield services
+
+
+@pytest.fixture(scope="module")
+def client(services: Services) -> Iterator[httpx2.Client]:
+    with served(app_of(services)) as client:
+        yield client
+
+
+def page_of(client: httpx2.Client, campaign: str) -> str:
+    answer = client.get(str(client.base_url).removesuffix("/api/v1/") + f"/campaigns/{campaign}")
+    assert answer.status_code == 200, answer.text
+    return answer.text
+
+
+def test_a_command_and_a_program_are_told_the_same(services: Services, client: httpx2.Client) -> None:
+    told = client.get("campaigns/plate/matrix").json()
+    home = str(services.settings.home)
+    printed = CliRunner().invoke(command.app, ["matrix", "plate", "--home", home, "--json"])
+    assert json.loads(printed.stdout) == told
+    cells = {(c["kind"], c["state"], c["view"]): c for c in told}
+    now = all_kinds()["reconstruct"].version
+    assert cells["reconstruct", "S00", "C1P1"]["condition"] == "stale"
+    assert cells["reconstruct", "S00", "C1P1"]["why"] == (
+        f"reconstruct is now version {now}, it was made by {now - 1}"
+    )
+    holds = cells["reconstruct", "S01", "C1P1"]
+    assert (holds["condition"], holds["why"], holds["pictured"]) == ("computed", "", True)
+    failed = cells["correlate", "S01", "C1P1"]
+    assert (failed["condition"], failed["why"], failed["pictured"]) == ("failed", FAILED, False)
+    waits = cells["correlate", "S01", "C1P2"]
+    assert (waits["condition"], waits["why"]) == ("waiting", "")
+
+
+def test_the_page_says_why_in_words_that_need_no_mouse(client: httpx2.Client) -> None:
+    page = page_of(client, "plate")
+    why = dict(re.findall(r'<details class="why" id="why-tuples-([^"]+)">.*?<p>(.*?)</p>', page))
+    assert set(why) == {"S00-C1P1-reconstruct", "S01-C1P1-correlate"}
+    assert why["S00-C1P1-reconstruct"].startswith("Reconstruct is now version ")
+    assert why["S01-C1P1-correlate"] == (
+        "No texture: &lt;b&gt;0&lt;/b&gt; matches of 900, and 50 are needed; light the specimen."
+    )
+    assert "<b>" not in page
+
+
+def test_a_picture_is_sent_once_and_then_only_asked_about(client: httpx2.Client) -> None:
+    (address,) = set(
+        re.findall(
+            r'<img loading="lazy"[^>]* src="([^"]+)" alt="reconstruct S01 C1P1" width="72"',
+            page_of(client, "plate"),
+        )
+    )
+    first = client.get(str(client.base_url).removesuffix("/api/v1/") + address)
+    assert first.headers["Cache-Control"] == "private, no-cache"
+    tag = first.headers["ETag"]
+    for unless in (tag, f"W/{tag}", f'"other", {tag}', "*"):
+        again = client.get(first.url, headers={"If-None-Match": unless})
+        assert (again.status_code, again.content, again.headers["ETag"]) == (304, b"", tag), unless
+    other = client.get(first.url, headers={"If-None-Match": '"other"'})
+    assert (other.status_code, other.content) == (200, first.content)
+    assert first.content.startswith(b"\x89PNG")
+
+
+def many(services: Services) -> None:
+    """Register a campaign of very many tuples, each with a surface that nobody has to read."""
+    _, plate = small_plate("many")
+    states = tuple(replace(plate.states[0], label=f"S{k:03}") for k in range(STATES))
+    views = tuple(f"C{k}P1" for k in range(1, VIEWS + 1))
+    made = replace(plate, states=states, views=views, scene=None)
+    register_campaign(services.catalogue, services.archive, made, None, datetime.now(UTC))
+    with services.catalogue.writing() as session:
+        row = campaigns.campaign_row(session, "many")
+        known = campaigns.state_ids(session, row.id)
+        rows = [
+            {
+                "source": kind,
+                "path": f"many/{state}/{view}/{kind}",
+                "content_hash": "c" * 64,
+                "size_bytes": 1,
+                "sha256": "c" * 64,
+                "media_type": "application/x-hdf5",
+                "created_at": WHEN,
+                "campaign_id": row.id,
+                "state_id": number,
+                "view": view,
+            }
+            for state, number in known.items()
+            for view in views
+            for kind in ("measurement", "reconstruct", "correlate", "strain")
+        ]
+        session.execute(insert(FileRow), rows)
+
+
+def test_very_many_cells_take_no_more_statements_and_no_picture_before_it_is_seen(
+    services: Services, client: httpx2.Client
+) -> None:
+    def statements(campaign: str) -> tuple[int, str]:
+        with heard(services.catalogue) as found:
+            page = page_of(client, campaign)
+        return len(found.statements), page
+
+    many(services)
+    statements("many")  # what is looked up once does not count
+    few, _ = statements("plate")
+    of_many, page = statements("many")
+    # Those of the small one have jobs, whose outlook is asked for.
+    assert of_many <= few
+    shown = re.findall(r"<img [^>]*>", page)
+    assert len([one for one in shown if 'width="72" height="54"' in one]) == STATES * VIEWS
+    assert all('loading="lazy"' in one for one in shown)
