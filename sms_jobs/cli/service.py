@@ -80,11 +80,19 @@ def status(home: Home = None, as_json: Json = False) -> None:
             "jobs": ", ".join(f"{count} {state}" for state, count in found.jobs.items()) or "none",
             "workers": ", ".join(f"{w.id} on {w.host}" for w in found.workers)
             or "none; start one with 'sms up'",
-            "archive_free": size(found.archive_free_bytes),
+            **_room(found),
         }
         | ({} if found.outlook is None else {"ahead": outlook_text(found.outlook)})
         | {f"next of {one.campaign}": f"{one.state}, {one.waits_for}" for one in found.planned}
     )
+
+
+def _room(found: Status) -> dict[str, str]:
+    """Return what is free of the archive and of the spool: once where they share a disk."""
+    free = size(found.archive_free_bytes)
+    if found.spool_free_bytes is None:
+        return {"archive_free": f"{free}, shared with the spool"}
+    return {"archive_free": free, "spool_free": size(found.spool_free_bytes)}
 
 
 def _facts(found: Status) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.devices import disks
 from sms_jobs.jobs.monitoring import health
 from sms_jobs.jobs.running import liveness
 from sms_jobs.jobs.running.origin import Origin
@@ -120,7 +121,13 @@ def _of_the_place(settings: Settings) -> dict[str, Examination]:
 
     def disk() -> Examined:
         free = size(shutil.disk_usage(root).free)
-        return _one(health.room(root, _LITTLE_ROOM_BYTES), f"{free} free")
+        finding = health.room(root, _LITTLE_ROOM_BYTES)
+        spool_free = disks.spool_free_bytes(settings.spool_folder, root)
+        if spool_free is None:
+            return _one(finding, f"{free} free, shared with the spool")
+        findings = (finding, health.room(disks.nearest(settings.spool_folder), _LITTLE_ROOM_BYTES))
+        told = tuple(one for one in findings if one is not None)
+        return Examined(told, f"{free} free; {size(spool_free)} free in the spool")
 
     return {
         "messages": messages,

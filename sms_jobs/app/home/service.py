@@ -17,6 +17,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.asking.inquiry import WorkerView
+from sms_jobs.jobs.devices import disks
 from sms_jobs.jobs.planning.chosen import of_campaign
 from sms_jobs.jobs.recording import planned_recordings
 from sms_jobs.records.job import ALIVE_WITHIN
@@ -41,6 +42,8 @@ class Status:
         Where they are; the catalogue without secrets.
     archive_free_bytes
         Room on the archive's disk.
+    spool_free_bytes
+        Room on the disk of this host's spool; None where that is the archive's disk.
     campaigns
         How many there are.
     jobs
@@ -59,6 +62,7 @@ class Status:
     catalogue: str
     archive: str
     archive_free_bytes: int
+    spool_free_bytes: int | None
     campaigns: int
     jobs: dict[str, int]
     workers: tuple[WorkerView, ...]
@@ -80,6 +84,7 @@ def status(services: Services) -> Status:
             services.catalogue.describe(),
             services.archive.where,
             services.archive.room().free_bytes,
+            disks.spool_free_bytes(services.settings.spool_folder, services.settings.archive_root),
             campaigns.number_of_campaigns(session),
             counted,
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),

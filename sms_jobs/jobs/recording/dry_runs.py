@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -19,6 +18,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse
+from sms_jobs.jobs.devices.disks import free_bytes
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.kinds.recording.adaptation import QUICK
@@ -74,7 +74,7 @@ def dry_run(
         rehearsed,
         _mixed(rig, campaign, _packed(session, rig)),
         spool_bytes,
-        _free(spool),
+        free_bytes(spool),
         archive.room().free_bytes,
         tuple(missing),
         (*_remarks(rig, states), *_adapted(parameters)),
@@ -184,9 +184,3 @@ def _packed(session: Session, rig: RigFile) -> dict[bool, float]:
             raw[fringes] += frames_of(str(view), sequences[campaign_id]) * sizes[view.camera]
             packed[fringes] += size_bytes
     return {fringes: packed[fringes] / raw[fringes] for fringes in raw}
-
-
-def _free(folder: Path) -> int:
-    """Return what is free on the disk of a folder that may not be there yet."""
-    there = next(p for p in (folder, *folder.parents) if p.exists())
-    return shutil.disk_usage(there).free

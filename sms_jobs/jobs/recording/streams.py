@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL
 from sms_jobs.instruments.streaming import PART_OF_MEMORY
 from sms_jobs.jobs.archiving.importing import measured_tuples
+from sms_jobs.jobs.devices.disks import free_bytes
 from sms_jobs.jobs.recording.recordings import PairVerdict
 from sms_jobs.kinds.recording.stream import KIND, StreamParameters, require_exposures
 from sms_jobs.records.shown.streams import StreamedCamera, StreamOutcome, StreamRehearsal
@@ -69,8 +69,6 @@ def rehearse(
         memory = min(memory, int(1e6 * memory_limit_mb))
     # The image of a state lies in its file as texture and as frame.
     needs = size.most_frames * each, (size.frames + states) * each
-    there = next(folder for folder in (spool, *spool.parents) if folder.is_dir())
-    free = shutil.disk_usage(there).free
     found = StreamRehearsal(
         cameras=tuple(cameras),
         frames=size.frames,
@@ -79,7 +77,7 @@ def rehearse(
         ring_bytes=ring,
         memory_room=memory,
         spool_bytes=needs[0],
-        spool_room=free,
+        spool_room=free_bytes(spool),
         archived_bytes=needs[1],
         archive_room=archive_room,
         missing=tuple(_missing(rig, cameras, parameters)),
