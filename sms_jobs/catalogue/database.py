@@ -29,6 +29,7 @@ from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 from sms_jobs.catalogue import audit, readable
 from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.tables import (  # noqa: F401 - every table is known by it
+    changes,
     checks,
     planned,
     runs,

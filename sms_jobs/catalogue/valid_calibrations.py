@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
+from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import rig_row
 from sms_jobs.catalogue.models import (
     AcceptanceRow,
@@ -23,6 +24,7 @@ from sms_jobs.catalogue.models import (
     RigRow,
 )
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.records.shown.changes import Followed
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED
 
@@ -64,6 +66,7 @@ def add_calibration(session: Session, calibration: Calibration, file_id: int) ->
     )
     session.add(row)
     session.flush()
+    changes.enter(session, Followed.CALIBRATION, str(row.id), "", "entered", f"of rig {calibration.rig.name}")
     return row.id
 
 
@@ -77,6 +80,9 @@ def decide(session: Session, number: int, acceptance: Acceptance, at: datetime, 
     elif row.decided_at > at:
         return
     row.in_use, row.decided_at, row.file_id = acceptance.in_use, at, file_id
+    became = "accepted" if acceptance.in_use else "withdrawn"
+    whose = f"for campaign {campaign}" if campaign else f"for rig {acceptance.rig}"
+    changes.enter(session, Followed.CALIBRATION, str(number), campaign, became, whose)
     session.flush()
 
 

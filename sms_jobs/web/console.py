@@ -17,6 +17,7 @@ from starlette.staticfiles import StaticFiles
 
 from sms_jobs.app import assets
 from sms_jobs.app.rules import Rule, require, rule_of
+from sms_jobs.app.work import happenings
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 from sms_jobs.records.people import Right
@@ -96,18 +97,29 @@ class PageRequest:
     def __init__(self, request: Request) -> None:
         self.services: Services = identity.services_for(request)
         self._request = request
+        # Taken before anything is read for the page: what happens from then on is told to it.
+        self._heard_until = (
+            str(happenings.newest(self.services)) if self.services.actor.may(Right.READ) else ""
+        )
 
     def render(self, template: str, **shown: Any) -> HTMLResponse:
         """Return the page that a template makes of what is shown."""
-        return HTMLResponse(rendered(template, **frame(self._request, self.services), **shown))
+        given = frame(self._request, self.services, self._heard_until)
+        return HTMLResponse(rendered(template, **given, **shown))
 
 
 Page = Annotated[PageRequest, Depends(PageRequest)]
 """A parameter of an endpoint: the page that was asked for."""
 
 
-def frame(request: Request, services: Services | None) -> dict[str, Any]:
-    """Return what every template is given: who asks, what that may do, the menu, and where this is."""
+def frame(request: Request, services: Services | None, heard_until: str = "") -> dict[str, Any]:
+    """Return what every template is given: who asks, what that may do, the menu, and where this is.
+
+    Parameters
+    ----------
+    heard_until
+        Of which event a page knows, so that it follows those after it; empty for those from now on.
+    """
     actor = None if services is None else services.actor
 
     def may(right: str) -> bool:
@@ -119,6 +131,7 @@ def frame(request: Request, services: Services | None) -> dict[str, Any]:
         "menu": [entry for entry in _MENU if actor is not None and actor.may(entry.right)],
         "path": request.url.path,
         "session": COOKIE in request.cookies,
+        "heard_until": heard_until,
     }
 
 

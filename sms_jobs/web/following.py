@@ -1,8 +1,9 @@
-"""Follows what happens to jobs: one thread asks the catalogue for all who listen.
+"""Follows what happens: one thread asks the catalogue for all who listen.
 
-Rows are numbered before they are committed, so that on PostgreSQL one may become visible after another with a
-higher number. Numbers that are left out are looked for again for some minutes, and a listener that
-comes back goes on before the first of them: it may be told something twice, and misses nothing.
+Changes of jobs and other changes have numbers of their own. Rows are numbered before they are committed, so
+that on PostgreSQL one may become visible after another with a higher number. Numbers that are left out are
+looked for again for some minutes, and a listener that comes back goes on before the first of them: it may be
+told something twice, and misses nothing.
 """
 
 from __future__ import annotations
@@ -14,11 +15,16 @@ import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from itertools import groupby
+from typing import TypeAlias
 
 from sms_jobs.app.work import happenings
-from sms_jobs.app.work.happenings import Happening
+from sms_jobs.app.work.happenings import Cursor, Happening, News
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
+from sms_jobs.records.shown.changes import Change
+
+Told: TypeAlias = tuple[Cursor, Happening | Change]
+"""What happened, and where to go on after it."""
 
 _log = logging.getLogger(__name__)
 
@@ -72,12 +78,12 @@ class Listener:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._told: deque[tuple[int, Happening]] = deque()
+        self._told: deque[Told] = deque()
         self._ring = asyncio.Event()
         self.dropped = False
         """Whether so much waited for this listener that it is told nothing more."""
 
-    def tell(self, told: Sequence[tuple[int, Happening]]) -> None:
+    def tell(self, told: Sequence[Told]) -> None:
         """Take what happened, each with where to go on after it; from any thread."""
         if self.dropped or len(self._told) + len(told) > _MOST_WAITING:
             self.dropped = True
@@ -88,7 +94,7 @@ class Listener:
         except RuntimeError:  # the loop has ended
             self.dropped = True
 
-    async def next(self, timeout_s: float) -> list[tuple[int, Happening]]:
+    async def next(self, timeout_s: float) -> list[Told]:
         """Return what happened since, once something has; nothing after so many seconds."""
         try:
             await asyncio.wait_for(self._ring.wait(), timeout_s)
@@ -96,6 +102,28 @@ class Listener:
             return []
         self._ring.clear()
         return [self._told.popleft() for _ in range(len(self._told))]
+
+
+class _Orders:
+    """Which numbers were seen of changes of jobs, and which of other changes."""
+
+    def __init__(self, newest: Cursor) -> None:
+        self.jobs, self.changes = Order(newest.jobs), Order(newest.changes)
+
+    @property
+    def newest(self) -> Cursor:
+        """The highest numbers that were seen."""
+        return Cursor(self.jobs.newest, self.changes.newest)
+
+    @property
+    def safe(self) -> Cursor:
+        """The highest numbers up to which nothing is missing."""
+        return Cursor(self.jobs.safe, self.changes.safe)
+
+    def enter(self, found: News, now: float) -> None:
+        """Note what was seen, and give up what has been missing for long."""
+        self.jobs.enter((one.number for one in found.jobs), now)
+        self.changes.enter((one.number for one in found.changes), now)
 
 
 class Follower:
@@ -111,38 +139,38 @@ class Follower:
         self._services = services
         self._lock = threading.Lock()
         self._listeners: set[Listener] = set()
-        self._order: Order | None = None
+        self._orders: _Orders | None = None
         self._thread: threading.Thread | None = None
 
-    def listen(self, listener: Listener) -> int:
-        """Tell a listener what happens from now on; return the number after which that is everything.
+    def listen(self, listener: Listener) -> Cursor:
+        """Tell a listener what happens from now on; return the numbers after which that is everything.
 
         Asks the catalogue, and so does not belong into an event loop. Raises `ServerUnreachable`.
         """
         with self._lock:
-            if self._order is None:
-                self._order = self._begun()
+            if self._orders is None:
+                self._orders = self._begun()
             self._listeners.add(listener)
             if self._thread is None:
                 self._thread = threading.Thread(target=self._follow, name="follower", daemon=True)
                 self._thread.start()
-            return self._order.safe
+            return self._orders.safe
 
     def leave(self, listener: Listener) -> None:
         """Tell a listener nothing more."""
         with self._lock:
             self._listeners.discard(listener)
 
-    def _begun(self) -> Order:
-        """Return an order that knows what is missing among the newest numbers."""
+    def _begun(self) -> _Orders:
+        """Return orders that know what is missing among the newest numbers."""
         newest = happenings.newest(self._services)
-        order = Order(max(0, newest - _LOOKED_BACK))
-        while order.newest < newest:
-            found = happenings.happened(self._services, order.newest)
-            if not found:
+        orders = _Orders(Cursor(*(max(0, number - _LOOKED_BACK) for number in newest)))
+        while orders.jobs.newest < newest.jobs or orders.changes.newest < newest.changes:
+            found = happenings.happened(self._services, orders.newest)
+            if not any(found):
                 break
-            order.enter((one.number for one in found), time.monotonic())
-        return order
+            orders.enter(found, time.monotonic())
+        return orders
 
     def _follow(self) -> None:
         while True:
@@ -160,16 +188,16 @@ class Follower:
     def _ask(self) -> bool | None:
         """Tell everybody what happened, and return whether there is more; None once nobody listens."""
         with self._lock:
-            if not self._listeners or self._order is None:
-                self._order = self._thread = None
+            if not self._listeners or self._orders is None:
+                self._orders = self._thread = None
                 return None
-            order = self._order
-            newest, missing = order.newest, order.ranges()
+            orders = self._orders
+            newest, missing = orders.newest, (orders.jobs.ranges(), orders.changes.ranges())
         found = happenings.happened(self._services, newest, missing)
         with self._lock:
-            order.enter((one.number for one in found), time.monotonic())
-            safe = order.safe
-            told = [(min(safe, one.number), one) for one in found]
+            before = orders.safe
+            orders.enter(found, time.monotonic())
+            told = found.placed(before, orders.safe)
             for listener in self._listeners if told else ():
                 listener.tell(told)
-        return len(found) >= happenings.MOST
+        return happenings.is_full(found)

@@ -1,4 +1,4 @@
-"""What happens to jobs is told to whoever listens, on both databases."""
+"""What happens to jobs and beside them is told to whoever listens, on both databases."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from support.jobs import add_event
 from support.over_http import app_of, listening, served
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import jobs
+from sms_jobs.app.work import happenings, jobs
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue import changes
+from sms_jobs.records.shown.changes import Followed
 from sms_jobs.web.following import Follower, Listener
+
+JOBS = 2
+"""Events of the jobs of the campaign."""
 
 
 @pytest.fixture
@@ -31,6 +36,11 @@ def services(deployment: Deployment) -> Iterator[Services]:
         with bootstrap.services(deployment.home, "web") as opened:
             jobs.submit(opened, Work("plate", ("simulate",)))
             yield opened
+
+
+def changes_so_far(services: Services) -> int:
+    """Return the number of the newest change beside jobs: the campaign has brought a calibration."""
+    return happenings.newest(services).changes
 
 
 def message_of(event: dict[str, str]) -> str:
@@ -63,14 +73,17 @@ def test_events_are_told_and_go_on_where_they_broke_off(services: Services) -> N
 def test_everything_is_told_from_the_beginning_once(services: Services) -> None:
     with services.catalogue.writing() as session:
         last = [add_event(session, str(number)) for number in range(1200)][-1]
+    others = changes_so_far(services)
     with served(app_of(services)) as client, listening(client, headers={"Last-Event-ID": "0"}) as events:
-        numbers = [json.loads(next(events)["data"])["number"] for _ in range(last)]
-    assert numbers == list(range(1, last + 1))
+        found = [next(events) for _ in range(last + others)]
+    for wanted, count in ((True, last), (False, others)):
+        numbers = [json.loads(one["data"])["number"] for one in found if (one["event"] == "job") is wanted]
+        assert numbers == list(range(1, count + 1))
 
 
 def test_events_of_another_campaign_are_not_told(services: Services) -> None:
     with served(app_of(services)) as client:
-        options = {"headers": {"Last-Event-ID": "0"}}
+        options = {"headers": {"Last-Event-ID": f"0-{changes_so_far(services)}"}}
         with listening(client, params={"campaign": "plate"}, **options) as events:
             assert json.loads(next(events)["data"])["campaign"] == "plate"
         silent = listening(client, params={"campaign": "other"}, timeout=1.0, **options)
@@ -92,11 +105,11 @@ def test_an_event_that_is_committed_late_is_told(services: Services) -> None:
                 with services.catalogue.writing() as early:
                     add_event(early, "early")
                 found += await listener.next(5.0)
-                assert [cursor for cursor, _ in found] == [number - 1]
+                assert [cursor.jobs for cursor, _ in found] == [number - 1]
             found += await listener.next(5.0)
         finally:
             follower.leave(listener)
-        return [(cursor - number, one.message) for cursor, one in found]
+        return [(cursor.jobs - number, one.message) for cursor, one in found]
 
     # Who heard the early one alone goes on before the late one.
     assert asyncio.run(told()) == [(-1, "early"), (0, "late")]
@@ -116,3 +129,62 @@ def test_a_listener_who_does_not_listen_is_told_nothing_more(services: Services)
         return listener.dropped
 
     assert asyncio.run(crowded())
+
+
+def change_of(services: Services, number: int) -> None:
+    """Note a change beside jobs."""
+    with services.catalogue.writing() as session:
+        changes.enter(session, Followed.SCHEDULE, f"night-{number}", "", "fired", "submitted 3 jobs")
+
+
+def test_what_happens_beside_jobs_has_a_name_and_numbers_of_its_own(services: Services) -> None:
+    others = changes_so_far(services)
+    change_of(services, 1)
+    with served(app_of(services)) as client:
+        with listening(client, headers={"Last-Event-ID": "0"}) as events:
+            before = [next(events) for _ in range(JOBS + others + 1)]
+        assert [one["event"] for one in before] == ["job"] * JOBS + ["calibration"] * others + ["schedule"]
+        first = before[-1]
+        told = json.loads(first["data"])
+        assert (told["name"], told["state"], told["message"]) == ("night-1", "fired", "submitted 3 jobs")
+        change_of(services, 2)
+        with services.catalogue.writing() as session:
+            add_event(session, "after")
+        # Who goes on after the first change is told each once: the job's, then the second change.
+        with listening(client, headers={"Last-Event-ID": first["id"]}) as events:
+            then = [next(events) for _ in range(2)]
+            change_of(services, 3)
+            then.append(next(events))
+        assert [json.loads(one["data"]).get("name", "job") for one in then] == ["job", "night-2", "night-3"]
+        # A number alone, as an older page may send it, is of jobs; other changes are told again.
+        alone = str(json.loads(then[0]["data"])["number"])
+        with listening(client, headers={"Last-Event-ID": alone}) as events:
+            again = [json.loads(next(events)["data"])["name"] for _ in range(others + 3)]
+        assert again[others:] == ["night-1", "night-2", "night-3"]
+        for wrong in ("-1", "1-", "1-2-3", "x", "1" * 19):
+            assert client.get("events", headers={"Last-Event-ID": wrong}).status_code == 422, wrong
+
+
+def test_what_is_about_no_one_campaign_is_told_to_those_of_each(services: Services) -> None:
+    others = changes_so_far(services)
+    change_of(services, 1)
+    with services.catalogue.writing() as session:
+        changes.of_recordings(session, "other", ["S01"], "held")
+        changes.of_recordings(session, "plate", ["S01"], "held")
+    with served(app_of(services)) as client:
+        options = {"params": {"campaign": "plate"}, "headers": {"Last-Event-ID": f"1000000-{others}"}}
+        with listening(client, **options) as events:
+            names = [json.loads(next(events)["data"])["name"] for _ in range(2)]
+    assert names == ["night-1", "plate/S01"]
+
+
+def test_many_changes_beside_jobs_are_told_once_and_in_order(services: Services) -> None:
+    others = changes_so_far(services)
+    with services.catalogue.writing() as session:
+        for number in range(1100):
+            changes.of_schedule(session, f"night-{number}", "", "fired")
+    begun = {"Last-Event-ID": f"0-{others}"}
+    with served(app_of(services)) as client, listening(client, headers=begun) as events:
+        found = [json.loads(next(events)["data"]) for _ in range(1100 + JOBS)]
+    assert [one["name"] for one in found if "name" in one] == [f"night-{k}" for k in range(1100)]
+    assert [one["number"] for one in found if "job" in one] == list(range(1, JOBS + 1))

@@ -17,6 +17,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
+from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_row, definition, newest_file
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
@@ -170,19 +171,26 @@ def settle(catalogue: Catalogue) -> None:
     """Note of planned recordings that they are recorded, by the plan or beside it, and what is doubted."""
     with catalogue.reading() as session:
         found = {
-            one.row.id: _found_at(session, one) if one.job is not None else "recorded outside the plan"
+            one.row.id: (
+                one,
+                _found_at(session, one) if one.job is not None else "recorded outside the plan",
+            )
             for one in planned_recordings.next_ones(session)
             if _is_recorded(session, one)
         }
     if not found:
         return
     with catalogue.writing() as session:
-        for row_id, note in found.items():
-            session.execute(
+        for row_id, (one, note) in found.items():
+            noted = session.scalar(
                 update(PlannedRecordingRow)
                 .where(PlannedRecordingRow.id == row_id, planned_recordings.OPEN)
                 .values(status=Status.RECORDED.value, note=note)
+                .returning(PlannedRecordingRow.id)
+                .execution_options(synchronize_session=False)
             )
+            if noted is not None:
+                changes.of_recordings(session, one.campaign, [one.label], "recorded", note or "")
 
 
 def _is_recorded(session: Session, one: Planned) -> bool:
@@ -311,6 +319,7 @@ def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, hold
         if not _claimed(session, one, due_at):
             return None
         enter(session, planned)
+        changes.of_recordings(session, one.campaign, [one.label], "begun")
         session.execute(
             update(PlannedRecordingRow).where(PlannedRecordingRow.id == one.row_id).values(job_id=job_id)
         )

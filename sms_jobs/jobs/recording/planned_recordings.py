@@ -13,6 +13,7 @@ from typing import NamedTuple
 from sqlalchemy import ColumnElement, and_, func, or_, select, update
 from sqlalchemy.orm import Session
 
+from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_id, state_ids
 from sms_jobs.catalogue.models import (
     CampaignRow,
@@ -132,6 +133,7 @@ def put(
     there = {one.label: one for one in planned(session, [number])}
     known = state_ids(session, number)
     last = max((one.row.position for one in there.values()), default=0)
+    changes.of_recordings(session, campaign, [label for label, _ in wanted], "planned")
     for label, trigger in wanted:
         if label not in known:
             raise NotFound(f"campaign {campaign} has no state {label}; 'sms campaign add-state' adds one")
@@ -189,7 +191,7 @@ def set_held(session: Session, campaign: str, labels: Collection[str], held: boo
             .values(stopped_by=None)
         )
 
-    return _each(session, campaign, labels, hold)
+    return _each(session, campaign, labels, hold, "held" if held else "released")
 
 
 def skip(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
@@ -210,7 +212,7 @@ def skip(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
         _change(one.row, status=Status.SKIPPED.value, revision=one.row.revision + 1)
         return True
 
-    return _each(session, campaign, chosen, leave_out)
+    return _each(session, campaign, chosen, leave_out, "skipped")
 
 
 def drop(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
@@ -227,7 +229,7 @@ def drop(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
         session.delete(one.row)
         return True
 
-    return _each(session, campaign, labels, forget)
+    return _each(session, campaign, labels, forget, "dropped")
 
 
 def move(session: Session, campaign: str, label: str, before: str | None) -> None:
@@ -257,6 +259,7 @@ def move(session: Session, campaign: str, label: str, before: str | None) -> Non
     order = [one for one in waiting if one is not moved]
     place = len(order) if before is None else [one.label for one in order].index(before)
     order.insert(place, moved)
+    changes.of_recordings(session, campaign, [label], "moved")
     for one, position in zip(order, positions, strict=True):
         # What was found to hold for one that is not next any more begins nothing.
         if one.row.position != position:
@@ -370,13 +373,16 @@ def _why_not(one: Planned) -> str:
 
 
 def _each(
-    session: Session, campaign: str, labels: Collection[str], change: Callable[[Planned], bool]
+    session: Session, campaign: str, labels: Collection[str], change: Callable[[Planned], bool], became: str
 ) -> list[str]:
+    """Change some recordings of a plan, or all, and return and note those to which that is new."""
     rows = planned(session, [_locked(session, campaign)])
     chosen = [_of(rows, campaign, label) for label in labels] if labels else rows
     if not chosen:
         raise NotFound(f"nothing is planned of {campaign}; 'sms acquire plan {campaign} --next' plans all")
-    return [one.label for one in chosen if change(one)]
+    changed = [one.label for one in chosen if change(one)]
+    changes.of_recordings(session, campaign, changed, became)
+    return changed
 
 
 def _next_label(session: Session, campaign: str) -> list[str]:

@@ -9,6 +9,7 @@ from datetime import datetime
 from sqlalchemy import and_, func, select, update
 from sqlalchemy.orm import Session
 
+from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_id, campaign_row, definition
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
@@ -120,7 +121,10 @@ def judge(catalogue: Catalogue, now: datetime) -> None:
                 .returning(PlannedRecordingRow.id)
                 .execution_options(synchronize_session=False)
             )
-            if judged is None or not words:
+            if judged is None:
+                continue
+            changes.of_recordings(session, name, [label], "stopped" if words else "looked-at", words)
+            if not words:
                 continue
             session.execute(
                 update(PlannedRecordingRow)

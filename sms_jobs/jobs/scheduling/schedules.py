@@ -15,7 +15,7 @@ from sqlalchemy import and_, delete, exists, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, changes
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.schedules import ScheduleFireRow, ScheduleRow
@@ -179,6 +179,7 @@ def add(
                 created_at=now,
             )
         )
+        changes.of_schedule(session, name, order.campaign, "added")
 
 
 def _campaigns(session: Session, order: Order) -> dict[str, tuple[str, ...]]:
@@ -208,7 +209,10 @@ def _refuse_taken(session: Session, name: str) -> None:
 
 def set_paused(session: Session, name: str, paused: bool) -> None:
     """Hold a schedule back, or let it go on; raise `NotFound` where there is none of that name."""
-    _required(session, name).paused = paused
+    row = _required(session, name)
+    if row.paused is not paused:
+        row.paused = paused
+        changes.of_schedule(session, name, row.request["campaign"], "paused" if paused else "resumed")
 
 
 def remove(session: Session, name: str) -> None:
@@ -216,6 +220,7 @@ def remove(session: Session, name: str) -> None:
     row = _required(session, name)
     session.execute(delete(ScheduleFireRow).where(ScheduleFireRow.schedule_id == row.id))
     session.delete(row)
+    changes.of_schedule(session, name, row.request["campaign"], "removed")
 
 
 def schedules(session: Session, now: datetime) -> list[ScheduleView]:
@@ -378,6 +383,8 @@ def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
             if due.run is not None and done.job_ids:
                 asked = given_parameters(due.order.requests)
                 runs.enter(session, due.run, done, asked, now, _by(due.schedule))
+        became = "missed" if due.outcome == "missed" else "fired" if planned else "failed"
+        changes.of_schedule(session, due.schedule, due.order.campaign, became, outcome)
         if not planned or refused:
             what = f"schedule {due.schedule}, {due.moment.isoformat(timespec='minutes')}"
             occurrences.enter(session, Topic.SCHEDULE_MISSED, due.order.campaign, what, now, outcome)

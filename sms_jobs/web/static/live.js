@@ -1,4 +1,5 @@
-// Regions with data-live are fetched again when something has happened, and every data-every seconds.
+// Regions with data-live are fetched again when something has happened, and every data-every seconds. What data-hears
+// names, such as "recording job", are the only events that concern a region; without it all do.
 import { API, logInAgain } from "./asking.js";
 import { localTimes } from "./times.js";
 
@@ -68,14 +69,17 @@ export function follow(document) {
   const every = Math.min(...regions().map((one) => Number(one.dataset.every ?? 30)));
   setInterval(() => { if (!document.hidden) refresh(); }, 1000 * every);
   const about = document.querySelector("[data-about]")?.dataset.about ?? "";
-  events((event) => {
-    if (!about || event.job === about || event.campaign === about) soon();
+  const hears = (name) => regions().some((one) => !one.dataset.hears || one.dataset.hears.split(" ").includes(name));
+  events((event, name) => {
+    // What is about no one campaign, such as the calibration of a rig, may concern any.
+    if (hears(name) && (!about || !event.campaign || event.job === about || event.campaign === about)) soon();
   }, soon, away);
 }
 
-/** Call `heard` with every event of a job; the connection is made again whenever it ends, from where it ended. */
+/** Call `heard` with every event and its name; the connection is made again whenever it ends, from where it ended. */
 export async function events(heard, connected, away) {
-  let last = "", pause = 500;
+  // From where the server had read for this page, so that nothing that happened meanwhile is missed.
+  let last = document.querySelector("[data-heard-until]")?.dataset.heardUntil ?? "", pause = 500;
   for (;;) {
     if (document.hidden) {
       // A browser makes few connections to one place: those of pages that nobody sees are given back.
@@ -112,12 +116,13 @@ async function read(reader, stop, heard, last) {
     const blocks = (rest + decoder.decode(part.value, { stream: true })).split(/\r?\n\r?\n/);
     rest = blocks.pop();
     for (const block of blocks) {
-      let data = "";
+      let data = "", name = "";
       for (const line of block.split(/\r?\n/)) {
         if (line.startsWith("id:")) id = line.slice(3).trim();
+        else if (line.startsWith("event:")) name = line.slice(6).trim();
         else if (line.startsWith("data:")) data += line.slice(5).trim();
       }
-      if (data) heard(JSON.parse(data));
+      if (data) heard(JSON.parse(data), name);
     }
   }
 }
