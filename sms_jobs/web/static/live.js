@@ -3,17 +3,20 @@
 import { API, logInAgain } from "./asking.js";
 import { localTimes } from "./times.js";
 
-const GATHERED_MS = 300, LONGEST_PAUSE_MS = 15000, SILENT_MS = 40000;
+const GATHERED_MS = 50, LONGEST_PAUSE_MS = 15000, SILENT_MS = 40000;
+// While things happen all the time, a page is fetched again only after this many times what fetching it took.
+const REST = 20, SHORTEST_REST_MS = 300, LONGEST_REST_MS = 3000;
 
 /** Keep the live regions of a document as the server has them. */
 export function follow(document) {
   const regions = () => [...document.querySelectorAll("[data-live]")];
   if (!regions().length) return;
-  let asked = 0, busy = false, again = false;
+  let asked = 0, busy = false, again = false, rested = 0;
 
   async function refresh() {
     if (busy) { again = true; return; }
     busy = true;
+    const began = performance.now();
     try {
       const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
       if (answer.redirected && new URL(answer.url).pathname === "/login") { logInAgain(); return; }
@@ -28,6 +31,8 @@ export function follow(document) {
       away("The server does not answer");
     } finally {
       busy = false;
+      const now = performance.now();
+      rested = now + Math.min(Math.max(REST * (now - began), SHORTEST_REST_MS), LONGEST_REST_MS);
       if (again) { again = false; soon(); }
     }
   }
@@ -49,8 +54,9 @@ export function follow(document) {
     || region.matches(":has(input:focus, select:focus, textarea:focus, button:disabled, .problem:not(:empty))");
 
   function soon() {
-    clearTimeout(asked);
-    asked = setTimeout(refresh, GATHERED_MS);
+    // What comes meanwhile is in the same answer; the first of many is not kept waiting by those after it.
+    if (asked) return;
+    asked = setTimeout(() => { asked = 0; refresh(); }, Math.max(GATHERED_MS, rested - performance.now()));
   }
 
   const line = document.getElementById("connection");
