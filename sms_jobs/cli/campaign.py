@@ -227,6 +227,10 @@ def show(
 @app.command()
 def matrix(
     name: Annotated[str, typer.Argument(autocompletion=completion.campaign_names)],
+    state: Annotated[
+        list[str] | None,
+        typer.Option("--state", "-s", help="Only of this state; can be repeated. Of all if not given."),
+    ] = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
@@ -235,7 +239,7 @@ def matrix(
     Example: sms campaign matrix wing-fatigue --json
     """
     with bootstrap.services(home) as services:
-        found = campaign_matrix.matrix(services, name)
+        found = campaign_matrix.matrix(services, name, state or ())
     if as_json:
         output.print_json_list(found)
         return

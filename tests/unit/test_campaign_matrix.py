@@ -32,6 +32,8 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 
 FAILED = "no texture: <b>0</b> matches of 900, and 50 are needed; light the specimen"
 STATES, VIEWS = 300, 8
+SHOWN = 50
+"""States that the page shows at once."""
 
 
 def surface() -> Surface:
@@ -41,7 +43,7 @@ def surface() -> Surface:
 
 @pytest.fixture(scope="module")
 def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
-    """A home with one stale surface, one that holds, and a job that failed."""
+    """A home with one stale surface, one that holds, a job that failed, and another, very large campaign."""
     home = tmp_path_factory.mktemp("matrix") / "home"
     make_home(home, {})
     with bootstrap.services(home, "web") as services:
@@ -56,6 +58,7 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
             session.execute(update(JobRow).where(of).values(state=JobState.SUCCEEDED))
             of = (JobRow.kind == "correlate") & (JobRow.subject == "plate/S01/C1P1")
             session.execute(update(JobRow).where(of).values(state=JobState.FAILED, error=FAILED))
+        many(services)
         yield services
 
 
@@ -65,8 +68,9 @@ def client(services: Services) -> Iterator[httpx2.Client]:
         yield client
 
 
-def page_of(client: httpx2.Client, campaign: str) -> str:
-    answer = client.get(str(client.base_url).removesuffix("/api/v1/") + f"/campaigns/{campaign}")
+def page_of(client: httpx2.Client, campaign: str, first: int = 1) -> str:
+    address = str(client.base_url).removesuffix("/api/v1/") + f"/campaigns/{campaign}"
+    answer = client.get(address, params={"first": first})
     assert answer.status_code == 200, answer.text
     return answer.text
 
@@ -157,12 +161,44 @@ def test_very_many_cells_take_no_more_statements_and_no_picture_before_it_is_see
             page = page_of(client, campaign)
         return len(found.statements), page
 
-    many(services)
     statements("many")  # what is looked up once does not count
     few, _ = statements("plate")
     of_many, page = statements("many")
     # Those of the small one have jobs, whose outlook is asked for.
     assert of_many <= few
     shown = re.findall(r"<img [^>]*>", page)
-    assert len([one for one in shown if 'width="72" height="54"' in one]) == STATES * VIEWS
+    assert len([one for one in shown if 'width="72" height="54"' in one]) == SHOWN * VIEWS
     assert all('loading="lazy"' in one for one in shown)
+
+
+def test_states_are_gone_through_portion_by_portion(client: httpx2.Client) -> None:
+    seen: list[str] = []
+    first = 1
+    while True:
+        page = page_of(client, "many", first)
+        matrix = page[page.index('<section id="matrix"') : page.index('<section id="states"')]
+        seen += dict.fromkeys(re.findall(r'id="tuples-(S\d+)-C1P1-strain"', matrix))
+        assert f"States {first} to {min(first + SHOWN - 1, STATES)} of {STATES}" in matrix
+        before = re.search(r'href="\?first=(\d+)#matrix">Before', matrix)
+        assert (before is None) == (first == 1)
+        after = re.search(r'href="\?first=(\d+)#matrix">After', matrix)
+        if after is None:
+            break
+        first = int(after[1])
+    assert seen == [f"S{k:03}" for k in range(STATES)]
+    assert "S299-C1P1" in page_of(client, "many", 10_000)  # behind the last is the last
+
+
+def test_some_states_alone_are_told_of(services: Services, client: httpx2.Client) -> None:
+    every = client.get("campaigns/plate/matrix").json()
+    some = client.get("campaigns/plate/matrix", params={"states": "S01"}).json()
+    assert some == [cell for cell in every if cell["state"] in ("S01", None)]
+    assert any(cell["state"] is None for cell in some)
+    home = str(services.settings.home)
+    words = ["matrix", "plate", "--state", "S01", "--home", home, "--json"]
+    assert json.loads(CliRunner().invoke(command.app, words).stdout) == some
+    unknown = client.get("campaigns/plate/matrix", params={"states": "S09"})
+    assert unknown.status_code == 404
+    assert unknown.json()["error"] == (
+        "campaign plate has no state S09; 'sms campaign show plate' shows its own"
+    )

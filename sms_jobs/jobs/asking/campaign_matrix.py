@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeAlias
 
-from sqlalchemy import select
+from sqlalchemy import String, or_, select, true, type_coerce
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
@@ -26,6 +27,10 @@ from sms_jobs.records.subject import Subject
 
 _Place: TypeAlias = tuple[str | None, str | None, str]
 """State, view and kind."""
+_SUCCEEDED = JobState.SUCCEEDED.value
+_ACTIVE = frozenset(state.value for state in ACTIVE)
+_TELLING = _ACTIVE | {s.value for s in (JobState.FAILED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR)}
+"""States of the newest job that matter where an older one has given a result."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +39,21 @@ class _File:
     media_type: str
 
 
-def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]:
+def matrix(
+    session: Session, campaign: CampaignRow, now: datetime, states: Collection[str] = ()
+) -> list[Cell]:
     """Return what there is of a campaign, the oldest first, in a few queries however large it is.
 
     What is stale, and why, `stale_files` says. Where the newest job has reused a result, that is what there
     is.
+
+    Parameters
+    ----------
+    states
+        Labels of those of which it is returned, beside what is about the whole campaign; empty for all.
     """
-    files, by_job = _files(session, campaign.id)
-    jobs = _jobs(session, campaign)
+    files, by_job = _files(session, campaign.id, states)
+    jobs = _jobs(session, campaign.id, states)
     stale, pictured = stale_files(session, campaign, now), _pictured_kinds()
     cells = []
     for state, view, kind in dict.fromkeys([*files, *jobs]):
@@ -49,8 +61,8 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
         job = jobs.get(place)
         file = by_job.get((place, "" if job is None else job.reused_from or ""), files.get(place))
         why = ""
-        if job is not None and job.state is not JobState.SUCCEEDED and (file is None or _tells(job.state)):
-            condition, why = job.state.value, job.why
+        if job is not None and job.state != _SUCCEEDED and (file is None or job.state in _TELLING):
+            condition, why = job.state, job.why
         elif file is None or (kind != MEASUREMENT and kind not in all_kinds()):
             continue  # not made yet, or no result: the definition of the campaign
         elif kind == MEASUREMENT:
@@ -72,11 +84,6 @@ def matrix(session: Session, campaign: CampaignRow, now: datetime) -> list[Cell]
     return cells
 
 
-def _tells(state: JobState) -> bool:
-    """Say whether the state of the newest job matters where an older one has given a result."""
-    return state in ACTIVE or state in (JobState.FAILED, JobState.QUARANTINED, JobState.NEEDS_OPERATOR)
-
-
 def _pictured_kinds() -> set[str]:
     """Return the kinds whose results have fields over an image, with the word for measurements."""
     of_kinds = {
@@ -88,13 +95,16 @@ def _pictured_kinds() -> set[str]:
 @dataclass(frozen=True)
 class _Job:
     id: str
-    state: JobState
+    state: str
     reused_from: str | None
     why: str
 
 
-def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dict[tuple[_Place, str], _File]]:
+def _files(
+    session: Session, campaign_id: int, states: Collection[str]
+) -> tuple[dict[_Place, _File], dict[tuple[_Place, str], _File]]:
     """Return the newest file of each place, and that of each place and job."""
+    wanted = or_(LoadStateRow.label.in_(list(states)), FileRow.state_id.is_(None)) if states else true()
     rows = session.execute(
         select(
             LoadStateRow.label,
@@ -105,7 +115,7 @@ def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dic
             FileRow.job_id,
         )
         .outerjoin(LoadStateRow, LoadStateRow.id == FileRow.state_id)
-        .where(FileRow.campaign_id == campaign_id)
+        .where(FileRow.campaign_id == campaign_id, wanted)
         .order_by(FileRow.id)
     )
     newest: dict[_Place, _File] = {}
@@ -116,24 +126,31 @@ def _files(session: Session, campaign_id: int) -> tuple[dict[_Place, _File], dic
     return newest, by_job
 
 
-def _jobs(session: Session, campaign: CampaignRow) -> dict[_Place, _Job]:
+def _jobs(session: Session, campaign_id: int, states: Collection[str]) -> dict[_Place, _Job]:
     """Return the newest job of each place."""
+    # States as they are stored: of thousands, making each a `JobState` takes as long as reading them.
     rows = session.execute(
         select(
             JobRow.subject,
             JobRow.kind,
             JobRow.id,
-            JobRow.state,
+            type_coerce(JobRow.state, String),
             JobRow.reused_from,
             JobRow.error,
             JobRow.message,
         )
-        .where(JobRow.campaign_id == campaign.id)
+        .where(JobRow.campaign_id == campaign_id)
         .order_by(JobRow.position)
     )
+    newest = {
+        (subject, kind): (job, state, reused_from, error or message)
+        for subject, kind, job, state, reused_from, error, message in rows
+    }
+    about = {text: Subject.parse(text) for text in dict.fromkeys(subject for subject, _ in newest)}
     found: dict[_Place, _Job] = {}
-    for subject, kind, job, state, reused_from, error, message in rows:
-        about = Subject.parse(subject)
-        why = "" if state in ACTIVE else error or message
-        found[about.state, about.view, kind] = _Job(job, state, reused_from, why)
+    for (text, kind), (job, state, reused_from, said) in newest.items():
+        subject = about[text]
+        if not states or subject.state is None or subject.state in states:
+            why = "" if state in _ACTIVE else said
+            found[subject.state, subject.view, kind] = _Job(job, state, reused_from, why)
     return found

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Annotated, Any
 
+from fastapi import Query
 from pydantic import Field
 
 from sms_jobs.app.measuring import recordings
@@ -111,9 +112,13 @@ def progress(services: Acting, name: Name) -> Any:
 
 
 @ROUTES.offer("GET", "/campaigns/{name}/matrix", campaign_matrix.matrix, answers=list[Cell])
-def matrix(services: Acting, name: Name) -> Any:
+def matrix(
+    services: Acting,
+    name: Name,
+    states: Annotated[list[Text], Query(description="Only of these; of all if not given.")] = [],  # noqa: B006
+) -> Any:
     """Return what there is of each state, view and kind."""
-    return answer(campaign_matrix.matrix(services, name))
+    return answer(campaign_matrix.matrix(services, name, states))
 
 
 @ROUTES.offer("POST", "/campaigns/{name}/states", campaigns.add_state, answers=CampaignFacts, status=201)

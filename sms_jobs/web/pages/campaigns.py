@@ -20,6 +20,8 @@ PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
 
 _SHOWN = 200
 _PICTURES = 24
+_STATES = 50
+"""That are shown at once: a page that is fetched again and again has to be quick."""
 _DATASET = "application/x-hdf5"
 
 
@@ -53,13 +55,21 @@ def list_(page: Page, limit: Annotated[int, Query(ge=1, le=10_000)] = _SHOWN) ->
 
 
 @PAGES.show("/campaigns/{name}", campaigns.show)
-def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
-    """Show how far a campaign is; `kind` is that whose parameters can be given."""
+def show(
+    page: Page,
+    name: str,
+    kind: str = kinds.EVERYTHING,
+    first: Annotated[int, Query(ge=1, le=1_000_000)] = 1,
+) -> HTMLResponse:
+    """Show how far a campaign is: states from the `first` on, and the parameters of a `kind`."""
     services = page.services
-    story, cells = campaigns.show(services, name), campaign_matrix.matrix(services, name)
+    story = campaigns.show(services, name)
+    every = [state.label for state in story.campaign.states]
+    first = min(first, len(every))
+    states = every[first - 1 : first - 1 + _STATES]
+    cells = campaign_matrix.matrix(services, name, states)
     offered = kinds.list_kinds(services)
     order = list(dict.fromkeys(cell.kind for cell in cells))
-    states = [state.label for state in story.campaign.states]
     pictured = [c for c in cells if c.view is not None and c.pictured]
     documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
     return page.render(
@@ -70,7 +80,10 @@ def show(page: Page, name: str, kind: str = kinds.EVERYTHING) -> HTMLResponse:
         wholes=matrix([c for c in cells if c.view is None], states, order),
         pictures=_latest(pictured, order)[:_PICTURES],
         documents=documents,
-        progress=recordings.progress(services, name),
+        progress=[one for one in recordings.progress(services, name) if one.label in states],
+        first=first,
+        before=max(1, first - _STATES) if first > 1 else None,
+        after=first + _STATES if first + _STATES <= len(every) else None,
         remaining=jobs.remaining(services, name),
         running=jobs.list_jobs(services, campaign=name, states=[JobState.RUNNING], limit=20),
         kinds=offered,
