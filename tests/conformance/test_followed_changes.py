@@ -21,6 +21,7 @@ from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.jobs.monitoring import happenings
 from sms_jobs.jobs.recording import due_recordings, planned_recordings
+from sms_jobs.jobs.running import lifecycle
 from sms_jobs.jobs.scheduling import schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression
 from sms_jobs.jobs.scheduling.schedules import Order
@@ -107,6 +108,28 @@ def test_a_recording_begins_and_is_recorded(planned: Catalogue) -> None:
         for _ in range(2):
             due_recordings.settle(planned)
     assert states(found) == [("wing/S00", "begun"), ("wing/S00", "recorded")]
+
+
+def test_a_recording_that_breaks_off_is_told_as_its_job_is(planned: Catalogue) -> None:
+    with planned.reading() as session:
+        (one,) = due_recordings.due(session)
+    job = due_recordings.begin(planned, one, NOW, NOW)
+    assert job is not None
+    with noted(planned) as found:
+        for state in (JobState.NEEDS_OPERATOR, JobState.FAILED):
+            with planned.writing() as session:
+                session.execute(update(JobRow).where(JobRow.id == job).values(state=JobState.RUNNING))
+            with planned.writing() as session:
+                assert lifecycle.change(session, job, state, NOW, "no light")
+        with planned.writing() as session:
+            lifecycle.change_some(session, [job], JobState.QUEUED, NOW, "again")
+        with planned.writing() as session:
+            lifecycle.change_some(session, [job], JobState.CANCELLED, NOW, "by anna")
+    assert [(one.name, one.state, one.message) for one in found] == [
+        ("wing/S00", "needs-operator", "no light"),
+        ("wing/S00", "failed", "no light"),
+        ("wing/S00", "cancelled", "by anna"),
+    ]
 
 
 def test_a_calibration_is_entered_accepted_and_withdrawn(

@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session, aliased
 from sqlalchemy.orm.util import identity_key
 from sqlalchemy.sql.dml import ReturningUpdate
 
+from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.models import (
     CampaignRow,
     DependencyRow,
@@ -111,6 +112,7 @@ def change(
         session.expire(loaded)
     _tell(session, job_id, target, now, changed.attempts, message)
     occurrences.of_jobs(session, [job_id], target, now, message)
+    changes.of_planned_jobs(session, [job_id], target, message)
     if target is JobState.QUEUED:
         session.execute(_OUTBOX, {"job_id": job_id, "queue": changed.queue})
     if target in UNSUCCESSFUL:
@@ -148,6 +150,7 @@ def change_some(
     event = {"at": now, "state": target, "message": message}
     session.execute(_EVENT, [{"job_id": row.id, "attempt": row.attempts, **event} for row in changed])
     occurrences.of_jobs(session, [row.id for row in changed], target, now, message)
+    changes.of_planned_jobs(session, [row.id for row in changed], target, message)
     if target is JobState.QUEUED:
         session.execute(_OUTBOX, [{"job_id": row.id, "queue": row.queue} for row in changed])
     return [row.id for row in changed]

@@ -12,7 +12,8 @@ class Followed(Enum):
 
     RECORDING = "recording"
     """A planned recording: planned, held, released, moved, skipped, dropped, begun, recorded; then looked-at,
-    or stopped where its quick look holds the plan."""
+    or stopped where its quick look holds the plan. Where it breaks off it is as its job: failed,
+    needs-operator, cancelled or quarantined."""
     CALIBRATION = "calibration"
     """A calibration: entered, accepted or withdrawn."""
     SCHEDULE = "schedule"
