@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from sms_jobs.archive.layout import temporary_name
+from sms_jobs.archive.layout import NO_JOB, temporary_name
 from sms_jobs.archive.place import says_full, says_unusable
 from sms_jobs.errors import Conflict, InvalidInput, SmsError, StorageFull, StorageUnusable
 
@@ -124,7 +124,7 @@ def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
     Raises
     ------
     Conflict
-        When there is a file at `path` already.
+        When there is a file at `path` already, or somebody else is writing it who has no job either.
     StorageFull
         When the disk is full; the temporary file is removed, as on every other error.
     StorageUnusable
@@ -133,8 +133,10 @@ def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
     temporary = path.with_name(temporary_name(path.name, job_id))
     _refuse_taken(path)
     with blaming_the_place(path.name, str(root), str(path.parent)):
+        make_folders(root, path.parent)
+        if job_id == NO_JOB:
+            _take_alone(temporary, path)
         try:
-            make_folders(root, path.parent)
             yield temporary
             temporary.chmod(_READ_ONLY)
             sync(temporary)
@@ -145,6 +147,14 @@ def sealing(root: Path, path: Path, job_id: str) -> Iterator[Path]:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
+
+
+def _take_alone(temporary: Path, path: Path) -> None:
+    """Create the temporary file of a name; a job is alone with its names, but nobody else is."""
+    try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+    except FileExistsError:
+        raise Conflict(f"{path} is being written by somebody else; choose another name") from None
 
 
 def _refuse_taken(path: Path) -> None:

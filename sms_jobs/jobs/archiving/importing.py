@@ -346,6 +346,10 @@ def amend_campaign(
         now = now if defined_at is None else max(now, defined_at + timedelta(microseconds=1))
 
     def check(session: Session) -> None:
+        # Of two who change it at once the second waits here, and finds that it is not `before` any more.
+        session.execute(
+            select(CampaignRow.id).where(CampaignRow.id == row.id).with_for_update(key_share=True)
+        )
         present = campaigns.definition(campaigns.campaign_row(session, before.name))
         _require_same(present, before, f"campaign {before.name}")
         allow(session)

@@ -7,7 +7,7 @@ import logging
 import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,17 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 import sms_jobs
-from sms_jobs.archive import Archive, InputReference, Provenance
+from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.errors import CommitInDoubt
+from sms_jobs.errors import CommitInDoubt, Conflict
 from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import Entry
 from sms_jobs.records.subject import Subject
 
 logger = logging.getLogger(__name__)
+
+_TRIES = 20
+"""So often another name is chosen because somebody else takes the one that was free."""
 
 
 def operator() -> str:
@@ -133,14 +136,27 @@ class Repository:
 
         Of what no job makes, several may come in within a second: each has an attempt of its own.
         """
-        if not provenance.job_id:
-            provenance = self.archive.with_free_name(provenance)
-        sealed = self.archive.seal_dataset(records, provenance)
+        sealed, provenance = self._sealed(records, provenance)
         try:
             return indexing.entry_of(sealed, provenance, lambda name, _: records.get(name))
         except BaseException:
             self.withdraw(sealed.path)
             raise
+
+    def _sealed(self, records: Mapping[str, Any], provenance: Provenance) -> tuple[Sealed, Provenance]:
+        """Seal records under a free name; where no job makes them, somebody may take it just now."""
+        if provenance.job_id:
+            return self.archive.seal_dataset(records, provenance), provenance
+        tries = 0
+        while True:
+            provenance = self.archive.with_free_name(provenance)
+            try:
+                return self.archive.seal_dataset(records, provenance), provenance
+            except Conflict:
+                tries += 1
+                if tries == _TRIES:
+                    raise
+            provenance = replace(provenance, attempt=provenance.attempt + 1)
 
     def seal_document(
         self, filename: str, media_type: str, write: Callable[[Path], None], provenance: Provenance
