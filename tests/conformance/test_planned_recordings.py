@@ -18,7 +18,7 @@ from sms_jobs.catalogue.models import FileRow, JobRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.jobs.planning.submission import submit
-from sms_jobs.jobs.recording import due_recordings, planned_recordings, watched_rigs
+from sms_jobs.jobs.recording import due_recordings, planned_recordings, shown_plans, watched_rigs
 from sms_jobs.jobs.recording.due_recordings import Due
 from sms_jobs.jobs.recording.recordings import requests
 from sms_jobs.records import triggers
@@ -50,7 +50,7 @@ def put(catalogue: Catalogue, *labels: str, trigger: Trigger | None = None, at: 
 
 def shown(catalogue: Catalogue) -> list[PlannedRecording]:
     with catalogue.reading() as session:
-        return planned_recordings.list_planned(session, NOW, "wing")
+        return shown_plans.list_planned(session, NOW, "wing")
 
 
 def order(catalogue: Catalogue) -> list[str]:

@@ -14,7 +14,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import FileRow, JobRow, StatisticRow
 from sms_jobs.catalogue.tables.people import OccurrenceRow
-from sms_jobs.jobs.recording import due_recordings, planned_recordings, quick_looks
+from sms_jobs.jobs.recording import due_recordings, planned_recordings, quick_looks, shown_plans
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.gauge_limits import GaugeLimit, Look
 from sms_jobs.records.job import JobState
@@ -115,7 +115,7 @@ def due(catalogue: Catalogue) -> list[str]:
 
 def following(catalogue: Catalogue) -> PlannedRecording:
     with catalogue.reading() as session:
-        return next(one for one in planned_recordings.list_planned(session, NOW, "wing") if one.is_next)
+        return next(one for one in shown_plans.list_planned(session, NOW, "wing") if one.is_next)
 
 
 def told(catalogue: Catalogue) -> list[tuple[str, str]]:

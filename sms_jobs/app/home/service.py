@@ -19,7 +19,7 @@ from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.asking.inquiry import WorkerView
 from sms_jobs.jobs.devices import disks
 from sms_jobs.jobs.planning.chosen import of_campaign
-from sms_jobs.jobs.recording import planned_recordings
+from sms_jobs.jobs.recording import shown_plans
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
@@ -90,7 +90,7 @@ def status(services: Services) -> Status:
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
             ends_at,
-            tuple(one for one in planned_recordings.list_planned(session, datetime.now(UTC)) if one.is_next),
+            tuple(one for one in shown_plans.list_planned(session, datetime.now(UTC)) if one.is_next),
         )
 
 

@@ -11,7 +11,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs.recording import planned_recordings
+from sms_jobs.jobs.recording import planned_recordings, shown_plans
 from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
@@ -119,7 +119,7 @@ def plan(
         planned_recordings.put(
             session, campaign, wanted, services.actor.name, now, ask=ask, process=process, look=look
         )
-        return planned_recordings.list_planned(session, now, campaign)
+        return shown_plans.list_planned(session, now, campaign)
 
 
 def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
@@ -181,7 +181,7 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
 def show(services: Services, campaign: str | None = None) -> list[PlannedRecording]:
     """Return the plan of a campaign, or all with something left; raise `NotFound` where there is none."""
     with services.catalogue.reading() as session:
-        return planned_recordings.list_planned(session, datetime.now(UTC), campaign)
+        return shown_plans.list_planned(session, datetime.now(UTC), campaign)
 
 
 @use_case(Right.RECORD)

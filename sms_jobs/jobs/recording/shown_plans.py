@@ -1,0 +1,109 @@
+"""What is told of plans of recordings: what comes next of each, and what it waits for."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from datetime import datetime
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from sms_jobs.catalogue.campaigns import campaign_id
+from sms_jobs.catalogue.models import WorkerRow
+from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
+from sms_jobs.jobs.recording.planned_recordings import OPEN, Planned, planned, why_not
+from sms_jobs.kinds.kind import rig_queue
+from sms_jobs.records import triggers
+from sms_jobs.records.gauge_limits import GaugeLimit
+from sms_jobs.records.job import ALIVE_WITHIN, JobState
+from sms_jobs.records.shown.planned_recordings import PlannedRecording, Status
+from sms_jobs.records.triggers import Every, Trigger
+
+_RECORDED = Status.RECORDED.value
+
+
+def list_planned(session: Session, now: datetime, campaign: str | None = None) -> list[PlannedRecording]:
+    """Return the plan of a campaign, or every plan with something left to record.
+
+    Parameters
+    ----------
+    now
+        With time zone; what waits for a time says how long.
+
+    Raises `NotFound` where there is no such campaign.
+    """
+    if campaign is None:
+        numbers = session.scalars(select(PlannedRecordingRow.campaign_id).where(OPEN).distinct()).all()
+    else:
+        numbers = [campaign_id(session, campaign)]
+    rows = planned(session, numbers)
+    following: dict[str, Planned] = {}
+    for one in rows:
+        if one.is_open:
+            following.setdefault(one.campaign, one)
+    served = _served(session, now) if following else set()
+    return [_shown(one, rows, served, following.get(one.campaign) is one) for one in rows]
+
+
+def _served(session: Session, now: datetime) -> set[str]:
+    """Return the queues that a living worker serves."""
+    alive = select(WorkerRow.queues).where(
+        WorkerRow.beat_at >= now - ALIVE_WITHIN, WorkerRow.draining.is_(False)
+    )
+    return {queue for queues in session.scalars(alive) for queue in queues.split(",")}
+
+
+def _shown(one: Planned, rows: Sequence[Planned], served: Collection[str], is_next: bool) -> PlannedRecording:
+    row, trigger = one.row, triggers.from_json(one.row.trigger)
+    due = [r.row.due_at for r in rows if r.campaign == one.campaign and r.row.due_at is not None]
+    own = [r for r in rows if r.campaign == one.campaign]
+    queue = rig_queue(one.rig)
+    unserved = "" if queue in served else f"; no worker serves {queue}: start 'sms up' on the host of the rig"
+
+    def waits_for(seen: float | None) -> str:
+        return _waits_for(one, trigger, max(due, default=None), own, seen) + unserved if is_next else ""
+
+    return PlannedRecording(
+        one.campaign,
+        one.label,
+        str(trigger),
+        _status(one),
+        is_next,
+        waits_for(row.seen),
+        waits_for(None),
+        row.due_at,
+        row.seen,
+        row.seen_at,
+        row.job_id,
+        row.planned_by,
+        row.note or "",
+        tuple(str(GaugeLimit.from_json(kept)) for kept in row.stop_if),
+        row.stopped_by or "",
+    )
+
+
+def _status(one: Planned) -> str:
+    if one.job is not None and one.row.status == Status.BEGUN.value:
+        return Status.RECORDED.value if one.job.state is JobState.SUCCEEDED else one.job.state.value
+    return "held" if one.row.held and one.row.status == Status.PLANNED.value else one.row.status
+
+
+def _waits_for(
+    one: Planned, trigger: Trigger, before: datetime | None, rows: Sequence[Planned], seen: float | None
+) -> str:
+    """Say what keeps the next of a plan from being recorded; with what its channel read, where given."""
+    if one.job is not None:
+        return why_not(one)
+    if one.row.held:
+        why = next((f": {each.row.stopped_by}" for each in rows if each.row.stopped_by), "")
+        return f"it is held back{why}; 'sms acquire plan go {one.campaign}' lets it go on"
+    looked = next((each.label for each in rows if each.row.awaited and each.row.status == _RECORDED), None)
+    if looked is not None:
+        return f"waits for the quick look at {looked}; 'sms acquire plan show {one.campaign}' describes it"
+    words = f"waits for its time: {trigger}"
+    if isinstance(trigger, Every):
+        due = trigger.next_time(before)
+        words = "it is due" if due is None else f"is due at {due.astimezone():%Y-%m-%d %H:%M:%S}"
+    elif not isinstance(trigger, triggers.InTurn):
+        words = f"waits for {trigger}" + ("" if seen is None else f"; it read {seen:g} last")
+    return f"{words}; {one.row.note}" if one.row.note else words
