@@ -9,19 +9,23 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
+
+from sqlalchemy.orm import Session
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 from sms_jobs.instruments.connection import channel_reader
-from sms_jobs.instruments.holding import Detector, Hold, HoldDetector, StandstillDetector
-from sms_jobs.jobs.recording import due_recordings, quick_looks, watched_rigs
+from sms_jobs.instruments.holding import Detector
+from sms_jobs.jobs.recording import due_recordings, quick_looks, reached_levels, watched_rigs
 from sms_jobs.jobs.recording.due_recordings import Due
 from sms_jobs.kinds.kind import rig_queue
-from sms_jobs.records.triggers import Every, Holding, InTurn, Watched
+from sms_jobs.records.triggers import Every, InTurn
+from sms_jobs.workers.awaited import Awaited, AwaitedLevel, AwaitedRecording
 
 logger = logging.getLogger(__name__)
 
@@ -38,11 +42,11 @@ _LONGEST_GAP_S = 5.0
 
 @dataclass
 class Watch:
-    """A channel that is read until what a planned recording waits for has come.
+    """A channel that is read until what a plan waits for has come.
 
     Attributes
     ----------
-    due, trigger
+    awaited
         What is waited for.
     holder
         The name under which the rig is held meanwhile.
@@ -54,8 +58,7 @@ class Watch:
         Its last reading.
     """
 
-    due: Due
-    trigger: Watched
+    awaited: Awaited
     holder: str
     opened: ExitStack = field(default_factory=ExitStack)
     read: Callable[[], float] | None = None
@@ -74,7 +77,7 @@ class Watch:
             return False
         self.seen = self.read()
         if self._detector is None or moment - self._read_at > _LONGEST_GAP_S:
-            self._detector = _detector(self.trigger)
+            self._detector = self.awaited.detector()
         self._read_at = moment
         return self._detector.held(moment, self.seen)
 
@@ -125,28 +128,36 @@ class Planner:
         """Note what is recorded, begin what is due, and see which channels are to be watched."""
         due_recordings.settle(self._services.catalogue)
         quick_looks.judge(self._services.catalogue, now)
-        with self._services.catalogue.reading() as session:
-            following = due_recordings.due(session)
         watched: dict[str, Watch] = {}
-        for one in following:
-            trigger = one.trigger
-            if isinstance(trigger, InTurn):
-                self._begin(one, now)
-            elif isinstance(trigger, Every):
-                if (at := trigger.due(one.before, now)) is not None:
-                    self._begin(one, at)
-            elif one.rig in watched:
-                self._note(one, f"the plan of {watched[one.rig].due.campaign} watches rig {one.rig} first")
+        for one in self._waiting(now):
+            if one.rig in watched:
+                self._note(
+                    one, f"the plan of {watched[one.rig].awaited.campaign} watches rig {one.rig} first"
+                )
             elif rig_queue(one.rig) in self._served():
-                holder = f"the plan of {one.campaign}, worker {self._worker_id}"
-                watched[one.rig] = Watch(one, trigger, holder)
+                watched[one.rig] = Watch(one, f"the plan of {one.campaign}, worker {self._worker_id}")
         for rig in list(self._watches):
-            if rig not in watched or _key(watched[rig]) != _key(self._watches[rig]):
+            if rig not in watched or watched[rig].awaited.key != self._watches[rig].awaited.key:
                 self._let_go(rig)
         for rig, watch in watched.items():
             kept = self._watches.get(rig, watch)
-            kept.due = watch.due
+            kept.awaited = watch.awaited
             self._keep(rig, kept, now)
+
+    def _waiting(self, now: datetime) -> Iterator[Awaited]:
+        """Begin what is due, and yield what waits for a channel: levels, which have no end, come last."""
+        with self._services.catalogue.reading() as session:
+            following, levels = due_recordings.due(session), reached_levels.due(session)
+        for one in following:
+            trigger = one.trigger
+            if isinstance(trigger, InTurn):
+                self._begin_due(one, now)
+            elif isinstance(trigger, Every):
+                if (at := trigger.due(one.before, now)) is not None:
+                    self._begin_due(one, at)
+            else:
+                yield AwaitedRecording(one, trigger)
+        yield from map(AwaitedLevel, levels)
 
     def read(self) -> None:
         """Read every channel that is watched, and begin what has waited for it."""
@@ -164,7 +175,7 @@ class Planner:
                 # The recording uses the same line; the rig is held until it is entered.
                 watch.close()
                 now = datetime.now(UTC)
-                if self._begin(watch.due, now, watch.holder):
+                if self._begin(watch.awaited, watch.seen, now, watch.holder):
                     del self._watches[rig]
 
     def _keep(self, rig: str, watch: Watch, now: datetime) -> None:
@@ -174,28 +185,28 @@ class Planner:
             ahead = watched_rigs.comes_first(session, rig, now, watch.holder)
         if ahead is not None:
             self._let_go(rig)
-            self._note(watch.due, ahead)
+            self._note(watch.awaited, ahead)
             return
-        if rig not in self._watches and not self._could_begin(watch.due, now):
+        if rig not in self._watches and not self._could_begin(watch.awaited, now):
             return
         if moment >= watch.renew_at:
             with catalogue.writing() as session:
                 watched_rigs.hold(session, rig, watch.holder, now, _HELD_FOR)
                 if watch.read is not None:
-                    watched_rigs.note_reading(session, watch.due.row_id, watch.seen, now)
+                    watch.awaited.note_reading(session, watch.seen, now)
             self._watches[rig] = watch
             watch.renew_at = moment + _RENEW_EVERY_S
         if watch.read is None and moment >= watch.connect_at:
             try:
                 described = self._services.stations.rig(rig)
-                watch.read = watch.opened.enter_context(channel_reader(described, watch.trigger.channel))
+                watch.read = watch.opened.enter_context(channel_reader(described, watch.awaited.channel))
             except SmsError as error:
                 self._lost(watch, error)
 
     def _lost(self, watch: Watch, error: SmsError) -> None:
         watch.close()
         watch.connect_at = time.monotonic() + _CONNECT_AGAIN_S
-        self._note(watch.due, str(error))
+        self._note(watch.awaited, str(error))
 
     def _let_go(self, rig: str) -> None:
         watch = self._watches.pop(rig, None)
@@ -204,40 +215,50 @@ class Planner:
             with self._services.catalogue.writing() as session:
                 watched_rigs.let_go(session, watch.holder)
 
-    def _begin(self, one: Due, due_at: datetime, holder: str | None = None) -> bool:
-        """Begin a recording; False where it cannot begin, or is not to any more."""
+    def _begin_due(self, one: Due, due_at: datetime) -> None:
+        """Begin a recording that waits for no channel, if it can begin and still is to."""
         try:
-            job = due_recordings.begin(self._services.catalogue, one, due_at, datetime.now(UTC), holder)
+            job = due_recordings.begin(self._services.catalogue, one, due_at, datetime.now(UTC))
+        except SmsError as error:
+            if error.retryable:
+                raise
+            self._tell(f"{one.campaign}/{one.label}", one.note, str(error), partial(_note_due, one))
+        else:
+            if job is not None:
+                logger.info("%s/%s begins as job %s: %s", one.campaign, one.label, job, one.trigger)
+
+    def _begin(self, one: Awaited, seen: float | None, now: datetime, holder: str) -> bool:
+        """Begin what was waited for; False where it cannot begin, or is not to any more."""
+        try:
+            said = one.begin(self._services, seen, now, holder)
         except SmsError as error:
             if error.retryable:
                 raise
             self._note(one, str(error))
             return False
-        if job is not None:
-            logger.info("%s/%s begins as job %s: %s", one.campaign, one.label, job, one.trigger)
-        return job is not None
+        if said is not None:
+            logger.info("%s", said)
+        return said is not None
 
-    def _could_begin(self, one: Due, now: datetime) -> bool:
-        """Say whether a recording could begin now: what is wrong is told before the load has come."""
+    def _could_begin(self, one: Awaited, now: datetime) -> bool:
+        """Say whether it could begin now: what is wrong is told before the load has come."""
         try:
-            due_recordings.rehearse(self._services.catalogue, one, now)
+            one.rehearse(self._services, now)
         except SmsError as error:
             self._note(one, str(error))
             return False
         return True
 
-    def _note(self, one: Due, words: str) -> None:
-        if one.note != words:
-            logger.warning("%s/%s: %s", one.campaign, one.label, words)
+    def _note(self, one: Awaited, words: str) -> None:
+        self._tell(one.about, one.known_note, words, one.note)
+
+    def _tell(self, about: str, known: str | None, words: str, note: Callable[[Session, str], None]) -> None:
+        """Log and note what keeps something from being watched, or from beginning, unless that is known."""
+        if known != words:
+            logger.warning("%s: %s", about, words)
             with self._services.catalogue.writing() as session:
-                watched_rigs.note(session, one.row_id, words)
+                note(session, words)
 
 
-def _key(watch: Watch) -> tuple[int, int]:
-    return watch.due.row_id, watch.due.revision
-
-
-def _detector(trigger: Watched) -> Detector:
-    if isinstance(trigger, Holding):
-        return HoldDetector(Hold(trigger.target, trigger.tolerance, trigger.for_s))
-    return StandstillDetector(trigger.count, trigger.for_s)
+def _note_due(one: Due, session: Session, words: str) -> None:
+    watched_rigs.note(session, one.row_id, words)

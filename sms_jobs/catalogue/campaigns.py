@@ -177,8 +177,17 @@ def define(row: CampaignRow, campaign: Campaign) -> None:
     row.definition = as_json(campaign)
     row.views, row.frames = list(campaign.views), campaign.sequence.frames
     row.frame = None if campaign.frame is None else campaign.frame.method
-    canonical = json.dumps(row.definition, sort_keys=True, separators=(",", ":"))
-    row.definition_hash = hashlib.sha256(canonical.encode()).hexdigest()
+    row.definition_hash = _digest(row.definition)
+
+
+def definition_hash(campaign: Campaign) -> str:
+    """Return by what a row knows the definition that `define` would give it."""
+    return _digest(as_json(campaign))
+
+
+def _digest(kept: dict[str, Any]) -> str:
+    canonical = json.dumps(kept, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 class Definitions:

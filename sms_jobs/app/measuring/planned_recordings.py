@@ -11,8 +11,9 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs.recording import planned_recordings, shown_plans
+from sms_jobs.jobs.recording import planned_levels, planned_recordings, shown_plans
 from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
+from sms_jobs.records.levels import Levels
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
@@ -67,7 +68,31 @@ class AtCycles:
     for_s: float
 
 
-When: TypeAlias = InTime | AtLoad | AtCycles
+@dataclass(frozen=True)
+class AtLevels:
+    """Give the campaign one more state at each multiple of a load, and record it there, until it is dropped.
+
+    Attributes
+    ----------
+    channel
+        Of the rig.
+    each
+        The load, in the unit of the channel or one of its family; 0 is a multiple of it.
+    tolerance
+        How near a multiple the channel must be, likewise.
+    for_s
+        How long it must have stayed there.
+    """
+
+    channel: str
+    each: Typed
+    tolerance: Typed
+    for_s: float
+
+
+OfStates: TypeAlias = InTime | AtLoad | AtCycles
+"""What states wait for that are there."""
+When: TypeAlias = OfStates | AtLevels
 
 
 @use_case(Right.RECORD)
@@ -86,9 +111,10 @@ def plan(
     Parameters
     ----------
     when
-        What each of them waits for. A state that is planned already waits for this instead.
+        What each of them waits for. A state that is planned already waits for this instead. Levels are behind
+        all of them, whenever these are planned.
     states
-        All that are neither recorded nor planned nor skipped if there is none.
+        All that are neither recorded nor planned nor skipped if there is none; none for levels.
     ask, process
         See `recordings.record`.
     look
@@ -109,16 +135,22 @@ def plan(
     from sms_jobs.jobs.recording import due_recordings
 
     now = datetime.now(UTC)
+    by = services.actor.name
     with services.catalogue.reading() as session:
-        left = due_recordings.plannable(session, campaign, states)
         defined = definition(campaign_row(session, campaign))
+        due_recordings.refuse_session(defined)
+        left = () if isinstance(when, AtLevels) else due_recordings.plannable(session, campaign, states)
     if look.enabled:
         _require_looked_at(defined, look.stop_if)
+    if isinstance(when, AtLevels):
+        levels = _levels(services, defined.rig, when, states)
+        with services.catalogue.writing() as session:
+            number = planned_recordings.lock(session, campaign)
+            planned_levels.put(session, number, levels, by, now, ask=ask, process=process, look=look)
+            return shown_plans.list_planned(session, now, campaign)
     wanted = _wanted(services, defined.rig, left, when, named=bool(states))
     with services.catalogue.writing() as session:
-        planned_recordings.put(
-            session, campaign, wanted, services.actor.name, now, ask=ask, process=process, look=look
-        )
+        planned_recordings.put(session, campaign, wanted, by, now, ask=ask, process=process, look=look)
         return shown_plans.list_planned(session, now, campaign)
 
 
@@ -142,8 +174,32 @@ def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> Non
             )
 
 
+def _levels(services: Services, rig: str, when: AtLevels, states: Sequence[str]) -> Levels:
+    """Return levels in the unit of their channel; raise `InvalidInput` where they cannot be told apart."""
+    if states:
+        raise InvalidInput(
+            f"`each` adds states to the campaign, and {', '.join(states)} is no new one: leave out `state` "
+            "or `each`"
+        )
+    unit = services.stations.unit(rig, when.channel)
+    step, tolerance = when.each.in_unit(unit, "each"), _tolerance(when.tolerance, unit)
+    if step <= 0.0:
+        raise InvalidInput(f"`each` is '{when.each.text}', and loads are apart by more than 0: give more")
+    if step <= 2.0 * tolerance:
+        raise InvalidInput(
+            f"`each` is '{when.each.text}' and `tolerance` '{when.tolerance.text}': a reading between two "
+            f"multiples would be near both; give a tolerance below {step / 2.0:g} {unit}, or a greater load"
+        )
+    return Levels(when.channel, unit, step, tolerance, when.for_s)
+
+
 def _wanted(
-    services: Services, rig: str, states: Sequence[LoadState], when: When, *, named: bool
+    services: Services,
+    rig: str,
+    states: Sequence[LoadState],
+    when: OfStates,
+    *,
+    named: bool,
 ) -> list[tuple[str, Trigger]]:
     """Return by state what its recording waits for; of those that nobody has `named` only the first may."""
     if isinstance(when, InTime):
@@ -169,12 +225,16 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
 
     # The test plan says it in the unit of the channel's name.
     target = state_value(state, when.channel) / in_unit_of_name(when.channel, 1.0, unit)
-    tolerance = when.tolerance.in_unit(unit, "tolerance")
+    return Holding(when.channel, unit, target, _tolerance(when.tolerance, unit), when.for_s)
+
+
+def _tolerance(given: Typed, unit: str) -> float:
+    tolerance = given.in_unit(unit, "tolerance")
     if tolerance <= 0.0:
         raise InvalidInput(
-            f"`tolerance` is '{when.tolerance.text}', and no reading is ever that near: give one above 0"
+            f"`tolerance` is '{given.text}', and no reading is ever that near: give one above 0"
         )
-    return Holding(when.channel, unit, target, tolerance, when.for_s)
+    return tolerance
 
 
 @use_case(Right.READ)
@@ -186,7 +246,7 @@ def show(services: Services, campaign: str | None = None) -> list[PlannedRecordi
 
 @use_case(Right.RECORD)
 def hold(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
-    """Hold planned recordings back, or all of them, and return the states of which that is new.
+    """Hold planned recordings back, or the whole plan, and return the states of which that is new.
 
     Raises
     ------
@@ -240,7 +300,7 @@ def move(services: Services, campaign: str, state: str, before: str | None = Non
 def drop(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
     """Forget recordings of a plan, or all that do not run, and return their states.
 
-    What was recorded stays; raises as `skip` does.
+    What was recorded stays, and so do states that were added; raises as `skip` does.
     """
     with services.catalogue.writing() as session:
         return planned_recordings.drop(session, campaign, states)

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, false
+from sqlalchemy import JSON, BigInteger, ForeignKey, false
 from sqlalchemy.orm import Mapped, mapped_column
 
 from sms_jobs.catalogue.models import Table
@@ -46,3 +46,37 @@ class PlannedRecordingRow(Table):
     """Whether nothing behind it begins before its quick look was checked against the limits."""
     stopped_by: Mapped[str | None] = mapped_column(MessageText)
     """Which limit has held the plan after it, until somebody lets it go on."""
+
+
+class PlannedLevelsRow(Table):
+    """A campaign that is given one more state, and a recording of it, at each load that is held."""
+
+    __tablename__ = "planned_levels"
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), primary_key=True, autoincrement=False)
+    channel: Mapped[str] = mapped_column(String(64))
+    unit: Mapped[str] = mapped_column(String(64))
+    """Of the channel's readings and of the numbers here."""
+    step: Mapped[float]
+    tolerance: Mapped[float]
+    for_s: Mapped[float]
+    """See `records.levels.Levels`."""
+    ask: Mapped[bool]
+    process: Mapped[bool]
+    look: Mapped[bool]
+    stop_if: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    """As of a `PlannedRecordingRow`, which each state is given."""
+    held: Mapped[bool]
+    revision: Mapped[int]
+    """Of what is waited for; what was found to hold for another one adds nothing."""
+    last: Mapped[float | None]
+    """The level at which the last state was added; None before the first."""
+    last_state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"))
+    last_file_id: Mapped[int] = mapped_column(BigInteger)
+    """The newest measurement that there was then, 0 for none: one that came later tells where the test is."""
+    planned_at: Mapped[datetime]
+    planned_by: Mapped[str] = mapped_column(String(80))
+    seen: Mapped[float | None]
+    """What the channel read at `seen_at`."""
+    seen_at: Mapped[datetime | None]
+    note: Mapped[str | None] = mapped_column(MessageText)
+    """What keeps the channel from being watched, or a state from being added."""

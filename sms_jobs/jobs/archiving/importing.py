@@ -316,13 +316,15 @@ def amend_campaign(
     after: Campaign,
     now: datetime,
     allow: Callable[[Session], None] = lambda session: None,
+    then: Callable[[Session], None] = lambda session: None,
 ) -> None:
     """Give a campaign further states, views or readings, or another frame: sealed, then in the catalogue.
 
     Parameters
     ----------
-    allow
-        Called in the transaction that changes it; raises where it must not be changed just now.
+    allow, then
+        Called in the transaction that changes it, before and after; `allow` raises where it must not be
+        changed just now, and whatever either raises leaves it as it was.
 
     Raises
     ------
@@ -355,7 +357,7 @@ def amend_campaign(
         allow(session)
 
     definition = CampaignDefinition(after, row.plan)
-    Repository(catalogue, archive).put({CAMPAIGN: definition}, defined(before.name, now), check)
+    Repository(catalogue, archive).put({CAMPAIGN: definition}, defined(before.name, now), check, then)
 
 
 def continues(before: Campaign, after: Campaign) -> bool:

@@ -95,6 +95,7 @@ class Repository:
         records: Mapping[str, Any],
         provenance: Provenance,
         check: Callable[[Session], object] = lambda session: None,
+        then: Callable[[Session], object] = lambda session: None,
         *,
         at: datetime | None = None,
     ) -> Kept:
@@ -102,8 +103,9 @@ class Repository:
 
         Parameters
         ----------
-        check
-            Is called in the transaction that enters the file, before; what it raises keeps the file out.
+        check, then
+            Are called in the transaction that enters the file, before and after; what they raise keeps the
+            file out.
         at
             When the file is entered; when it was made, if not given.
 
@@ -117,7 +119,7 @@ class Repository:
         """
         with self.batch() as batch:
             batch.seal(records, provenance)
-            return batch.enter(check, at=at)[0]
+            return batch.enter(check, then, at=at)[0]
 
     @contextmanager
     def batch(self) -> Iterator[Batch]:
@@ -202,6 +204,7 @@ class Batch:
     def enter(
         self,
         check: Callable[[Session], object] = lambda session: None,
+        then: Callable[[Session], object] = lambda session: None,
         *,
         at: datetime | None = None,
     ) -> list[Kept]:
@@ -217,6 +220,7 @@ class Batch:
                 entered_at = at or entry.provenance.created_at
                 number = indexing.index(session, entry, entered_at) if same is None else same
                 kept.append(Kept(number, entry.sealed.path, same is None))
+            then(session)
         same_again = [entry for entry, one in zip(self.entries, kept, strict=True) if not one.new]
         self.entries.clear()
         self.repository.discard(same_again)

@@ -197,6 +197,7 @@ def draft(
     terms: Terms = USUAL,
     *,
     key: str = "",
+    amended: Campaign | None = None,
 ) -> Draft:
     """Plan requests for the states that allow it, and write nothing; raises as `plan_possible` does.
 
@@ -205,9 +206,12 @@ def draft(
     key
         Of what asks for these jobs once: the same key gives the same ids, which cannot be entered twice.
         Empty for ids that are drawn.
+    amended
+        What the campaign will be once the transaction that enters the jobs has amended it; what it is now if
+        not given.
     """
     row = campaigns.campaign_row(session, campaign_name)
-    campaign = campaigns.definition(row)
+    campaign = amended or campaigns.definition(row)
 
     coming = _coming(session, row.id)
     valid = ValidCalibrations(session, row.id, now)
@@ -240,7 +244,7 @@ def draft(
     producers = {i.existing.job_id for job in jobs for i in job.inputs if i.existing is not None}
     return Draft(
         row.id,
-        row.definition_hash,
+        row.definition_hash if amended is None else campaigns.definition_hash(amended),
         now,
         ids,
         jobs,

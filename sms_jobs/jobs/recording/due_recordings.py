@@ -40,11 +40,36 @@ from sms_jobs.records.triggers import Counted, Holding, Trigger
 from sms_jobs.records.units import in_unit_of_name
 
 if TYPE_CHECKING:
-    from sms_jobs.records.campaign import LoadState
+    from sms_jobs.records.campaign import Campaign, LoadState
 
 
 _FIRST = 100
 """Priority of quick looks: the highest that there is, so that they come before results of other states."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a plan asks for when a recording begins.
+
+    Attributes
+    ----------
+    campaign, label
+        What is recorded.
+    by
+        Who has planned it.
+    ask, process, look
+        See `recordings.requests`.
+    key
+        What the ids of its jobs follow from.
+    """
+
+    campaign: str
+    label: str
+    by: str
+    ask: bool
+    process: bool
+    look: bool
+    key: str
 
 
 @dataclass(frozen=True)
@@ -84,10 +109,11 @@ class Due:
     note: str | None
 
     @property
-    def key(self) -> str:
-        """What the ids of its jobs follow from."""
+    def asked(self) -> Asked:
+        """What is asked for when it begins."""
         at = self.planned_at.isoformat()
-        return f"planned/{self.campaign}/{self.label}/{self.row_id}/{self.revision}/{at}"
+        key = f"planned/{self.campaign}/{self.label}/{self.row_id}/{self.revision}/{at}"
+        return Asked(self.campaign, self.label, self.planned_by, self.ask, self.process, self.look, key)
 
 
 def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> tuple[LoadState, ...]:
@@ -104,10 +130,7 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
     """
     row = campaign_row(session, campaign)
     defined = definition(row)
-    if defined.session is not None:
-        raise InvalidInput(
-            f"{campaign} is a calibration session, whose artefacts a person places: use 'sms acquire run'"
-        )
+    refuse_session(defined)
     left = recordings.unrecorded(session, campaign)
     for label in labels:
         if defined.state(label) not in left:
@@ -124,6 +147,15 @@ def plannable(session: Session, campaign: str, labels: Collection[str] = ()) -> 
             "again, or see 'sms acquire plan show'"
         )
     return found
+
+
+def refuse_session(campaign: Campaign) -> None:
+    """Raise `InvalidInput` for a calibration session: no plan carries its artefacts."""
+    if campaign.session is not None:
+        raise InvalidInput(
+            f"{campaign.name} is a calibration session, whose artefacts a person places: use "
+            "'sms acquire run'"
+        )
 
 
 def due(session: Session) -> list[Due]:
@@ -280,25 +312,30 @@ def rehearse(catalogue: Catalogue, one: Due, now: datetime) -> None:
 
 
 def _drafted(session: Session, one: Due, now: datetime) -> Draft:
-    look = _look(session, one) if one.look else None
-    wanted = recordings.requests((one.label,), ask=one.ask, process=one.process, look=look)
-    by = f"plan of {one.planned_by}"[:80]
-    planned = draft(session, one.campaign, wanted, now, Terms(by=by), key=one.key).whole()
+    planned = drafted(session, one.asked, now)
     other = _others(session, one.campaign, one.label)
-    if other is not None and other != _recording(planned):  # its own: somebody was faster
+    if other is not None and other != recording_of(planned):  # its own: somebody was faster
         raise Conflict(
             f"job {other[:SHORT_ID]} records {one.campaign}/{one.label} already; 'sms acquire list' shows it"
         )
     return planned
 
 
-def _recording(planned: Draft) -> str:
+def drafted(session: Session, one: Asked, now: datetime, amended: Campaign | None = None) -> Draft:
+    """Plan the jobs of a recording, and enter nothing; see `submission.draft` for `amended`."""
+    look = _look(session, one) if one.look else None
+    wanted = recordings.requests((one.label,), ask=one.ask, process=one.process, look=look)
+    terms = Terms(by=f"plan of {one.by}"[:80])
+    return draft(session, one.campaign, wanted, now, terms, key=one.key, amended=amended).whole()
+
+
+def recording_of(planned: Draft) -> str:
     """Return the id of the job that records."""
     submitted = planned.submission
     return submitted.job_ids[submitted.kinds.index(KIND.name)]
 
 
-def _look(session: Session, one: Due) -> Request:
+def _look(session: Session, one: Asked) -> Request:
     """Return the quick look at a state: at its shape alone where views have no reference."""
     campaign = definition(campaign_row(session, one.campaign))
     rest = campaign.reference.label
@@ -314,7 +351,7 @@ def _look(session: Session, one: Due) -> Request:
 def _begin(catalogue: Catalogue, one: Due, due_at: datetime, now: datetime, holder: str | None) -> str | None:
     with catalogue.reading() as session:
         planned = _drafted(session, one, now)
-    job_id = _recording(planned)
+    job_id = recording_of(planned)
     with catalogue.writing() as session:
         if not _claimed(session, one, due_at):
             return None

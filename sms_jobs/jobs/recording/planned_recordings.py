@@ -1,7 +1,8 @@
 """Plans of recordings: rows of the catalogue that say which state is recorded next, and when.
 
 The recordings of a campaign come in one order. The first that is neither recorded nor skipped is next: it
-begins when its trigger says so, and none begins before the one before it is recorded or skipped.
+begins when its trigger says so, and none begins before the one before it is recorded or skipped. Behind them
+come the levels of `planned_levels`, which add further ones.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_id, state_ids
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, RigRow
-from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
+from sms_jobs.catalogue.tables.planned import PlannedLevelsRow, PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.records import triggers
 from sms_jobs.records.gauge_limits import NO_LOOK, Look
 from sms_jobs.records.job import SHORT_ID, JobState
@@ -54,8 +56,10 @@ def planned(session: Session, campaigns: Collection[int]) -> list[Planned]:
 
 
 def anything_open(session: Session) -> bool:
-    """Say whether any recording is planned that was neither skipped nor noted as recorded and looked at."""
-    return bool(session.scalar(select(select(PlannedRecordingRow.id).where(or_(OPEN, AWAITED)).exists())))
+    """Say whether anything is planned: levels, or what was neither skipped nor recorded and looked at."""
+    rows = select(PlannedRecordingRow.id).where(or_(OPEN, AWAITED)).exists()
+    levels = select(PlannedLevelsRow.campaign_id).exists()
+    return bool(session.scalar(select(or_(rows, levels))))
 
 
 def next_ones(session: Session) -> list[Planned]:
@@ -121,7 +125,7 @@ def put(
     NotFound
         There is no such campaign or state.
     """
-    number = _locked(session, campaign)
+    number = lock(session, campaign)
     there = {one.label: one for one in planned(session, [number])}
     known = state_ids(session, number)
     last = max((one.row.position for one in there.values()), default=0)
@@ -162,10 +166,11 @@ def _looked_at(look: Look) -> dict[str, object]:
 
 
 def set_held(session: Session, campaign: str, labels: Collection[str], held: bool) -> list[str]:
-    """Hold some planned recordings back, or all, or let them go on; return the states that changed.
+    """Hold some planned recordings back, or the whole plan, or let it go on; return the states that changed.
 
     One that is held keeps those behind it from beginning, too. Raises as `skip` does.
     """
+    number = lock(session, campaign)
 
     def hold(one: Planned) -> bool:
         if one.row.status != Status.PLANNED.value:
@@ -179,11 +184,17 @@ def set_held(session: Session, campaign: str, labels: Collection[str], held: boo
     if not held:
         session.execute(
             update(PlannedRecordingRow)
-            .where(PlannedRecordingRow.campaign_id == _locked(session, campaign))
+            .where(PlannedRecordingRow.campaign_id == number)
             .values(stopped_by=None)
         )
 
-    return _each(session, campaign, labels, hold, "held" if held else "released")
+    became = "held" if held else "released"
+    changed = _each(session, campaign, labels, hold, became)
+    if labels:
+        return changed
+    levels = planned_levels.set_held(session, number, held)
+    changes.of_recordings(session, campaign, levels, became)
+    return [*changed, *levels]
 
 
 def skip(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
@@ -208,10 +219,11 @@ def skip(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
 
 
 def drop(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
-    """Forget some recordings of a plan, or all that do not run; nothing that was recorded is lost.
+    """Forget some recordings of a plan, or all that do not run, and levels; nothing recorded is lost.
 
     Raises as `skip` does.
     """
+    number = lock(session, campaign)
 
     def forget(one: Planned) -> bool:
         if one.job is not None and one.job.state in _RUNS:
@@ -221,7 +233,12 @@ def drop(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
         session.delete(one.row)
         return True
 
-    return _each(session, campaign, labels, forget, "dropped")
+    dropped = _each(session, campaign, labels, forget, "dropped")
+    if labels:
+        return dropped
+    levels = planned_levels.drop(session, number)
+    changes.of_recordings(session, campaign, levels, "dropped")
+    return [*dropped, *levels]
 
 
 def move(session: Session, campaign: str, label: str, before: str | None) -> None:
@@ -238,7 +255,7 @@ def move(session: Session, campaign: str, label: str, before: str | None) -> Non
     """
     if label == before:
         raise InvalidInput(f"{label} cannot come before itself: name another state")
-    rows = planned(session, [_locked(session, campaign)])
+    rows = planned(session, [lock(session, campaign)])
     for name in (label, before):
         if name is None:
             continue
@@ -281,9 +298,10 @@ def _each(
     session: Session, campaign: str, labels: Collection[str], change: Callable[[Planned], bool], became: str
 ) -> list[str]:
     """Change some recordings of a plan, or all, and return and note those to which that is new."""
-    rows = planned(session, [_locked(session, campaign)])
+    number = lock(session, campaign)
+    rows = planned(session, [number])
     chosen = [_of(rows, campaign, label) for label in labels] if labels else rows
-    if not chosen:
+    if not chosen and not planned_levels.are_there(session, number):
         raise NotFound(f"nothing is planned of {campaign}; 'sms acquire plan {campaign} --next' plans all")
     changed = [one.label for one in chosen if change(one)]
     changes.of_recordings(session, campaign, changed, became)
@@ -291,7 +309,13 @@ def _each(
 
 
 def _next_label(session: Session, campaign: str) -> list[str]:
-    left = [one.label for one in planned(session, [_locked(session, campaign)]) if one.is_open]
+    number = lock(session, campaign)
+    left = [one.label for one in planned(session, [number]) if one.is_open]
+    if not left and planned_levels.are_there(session, number):
+        raise NotFound(
+            f"nothing is left to skip in the plan of {campaign}, whose next state is added once a load is "
+            f"held: 'sms acquire plan hold {campaign}' holds it back"
+        )
     if not left:
         raise NotFound(f"nothing is left to record by the plan of {campaign}; see 'sms acquire plan show'")
     return left[:1]
@@ -305,7 +329,7 @@ def _of(rows: Sequence[Planned], campaign: str, label: str) -> Planned:
     return found
 
 
-def _locked(session: Session, campaign: str) -> int:
+def lock(session: Session, campaign: str) -> int:
     """Return the number of a campaign, whose plan nobody else changes until this transaction has ended."""
     number = campaign_id(session, campaign)
     session.execute(select(CampaignRow.id).where(CampaignRow.id == number).with_for_update(key_share=True))

@@ -15,6 +15,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.jobs.notifying import occurrences
+from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.jobs.recording.planned_recordings import AWAITED
 from sms_jobs.records.gauge_limits import GaugeLimit
 from sms_jobs.records.job import ACTIVE, SHORT_ID, JobState
@@ -134,6 +135,7 @@ def judge(catalogue: Catalogue, now: datetime) -> None:
                 )
                 .values(held=True)
             )
+            planned_levels.set_held(session, number, True)
             about = str(Subject(name, label))
             occurrences.enter(session, Topic.LIMIT_REACHED, name, about, now, words)
 

@@ -24,6 +24,8 @@ class PlannedRecording:
     ----------
     campaign, state
         Of which it is.
+    is_added
+        Whether the campaign is given the state only when a load is held; it has none of that label yet.
     trigger
         What it waits for, in words.
     status
@@ -65,3 +67,4 @@ class PlannedRecording:
     note: str
     stop_if: tuple[str, ...]
     stopped_by: str
+    is_added: bool = False
