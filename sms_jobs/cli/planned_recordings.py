@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings, quick_looks
-from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
+from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLevels, AtLoad, InTime, When
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
@@ -21,7 +21,7 @@ from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
 from sms_jobs.records.subject import Subject
-from sms_jobs.records.units import duration_s, typed
+from sms_jobs.records.units import duration_s, time_words, typed
 
 _LONGEST_S = 30 * 86400.0
 _HOLD = "5s"
@@ -82,6 +82,13 @@ def add(
     tolerance: Annotated[
         str | None, typer.Option(help="How near the channel must be, with its unit, such as 500N.")
     ] = None,
+    each: Annotated[
+        str | None,
+        typer.Option(
+            help="Add a state at each multiple of this, such as 10kN, that the channel of --on stays near, "
+            "and record it there."
+        ),
+    ] = None,
     hold: Annotated[
         str | None,
         typer.Option(
@@ -119,9 +126,12 @@ def add(
     """Plan recordings of a campaign; 'sms acquire plan CAMPAIGN ...' is the same.
 
     The service ('sms up') on the host of the rig makes them, one after the other, whether or not anybody is
-    logged in. Of a state that is planned already it changes what is waited for.
+    logged in. Of a state that is planned already it changes what is waited for. With --each the campaign is
+    given its states while the test goes on, behind those that are planned, until 'sms acquire plan drop'.
 
     Example: sms acquire plan wing-fatigue --on load_n --tolerance 500N --hold 10s
+
+    Example: sms acquire plan wing-fatigue --on load_n --each 10kN --tolerance 200N --hold 10s
 
     Example: sms acquire plan wing-fatigue --at-cycles 1000,2000,5000
 
@@ -131,7 +141,7 @@ def add(
 
     Example: sms acquire plan wing-fatigue --next --stop-if 'g1.extension_mm > 0.5mm'
     """
-    when = _when(on, tolerance, hold, at_cycles, every, next_)
+    when = _when(on, tolerance, hold, at_cycles, every, next_, each)
     limits = tuple(gauge_limit(text, "--stop-if") for text in stop_if or ())
     with bootstrap.services(home) as services:
         found = planned_recordings.plan(
@@ -143,7 +153,17 @@ def add(
             process=process,
             look=Look(look or bool(limits), limits),
         )
+    if isinstance(when, AtLevels) and not as_json:
+        output.print_sentence(_levels_sentence(campaign, when, found))
     _tell(found, as_json)
+
+
+def _levels_sentence(campaign: str, when: AtLevels, found: list[PlannedRecording]) -> str:
+    """Say what a plan with levels does from now on."""
+    near = f"each multiple of {when.each.number:g} {when.each.unit}".rstrip()
+    stays = f" for {time_words(when.for_s)}" if when.for_s else ""
+    label = next(one.state for one in found if one.is_added)
+    return f"{campaign}: a new state at {near} at which {when.channel} stays{stays}; the next is {label}"
 
 
 def _when(
@@ -153,6 +173,7 @@ def _when(
     at_cycles: str | None,
     every: str | None,
     in_turn: bool,
+    each: str | None,
 ) -> When:
     """Return what is waited for; raise `InvalidInput` unless it is one thing, with all that it needs."""
     at_load = on is not None and at_cycles is None
@@ -160,6 +181,8 @@ def _when(
         raise InvalidInput(
             "say what to wait for: one of --on CHANNEL, --at-cycles NUMBERS, --every TIME and --next"
         )
+    if each is not None and not at_load:
+        raise InvalidInput("--each goes with --on CHANNEL, and without --at-cycles; leave it out")
     if at_load is (tolerance is None):
         raise InvalidInput(
             f"say with --tolerance how near {on} must be to a state's value, such as 500N"
@@ -171,6 +194,8 @@ def _when(
     for_s = duration_s(hold or _HOLD, "--hold", 0.0, _LONGEST_HOLD_S)
     if at_cycles is not None:
         return AtCycles(_counts(at_cycles), on or _COUNTER, for_s)
+    if on is not None and tolerance is not None and each is not None:
+        return AtLevels(on, typed(each, "--each"), typed(tolerance, "--tolerance"), for_s)
     if on is not None and tolerance is not None:
         return AtLoad(on, typed(tolerance, "--tolerance"), for_s)
     return InTime(None if every is None else duration_s(every, "--every", 1.0, _LONGEST_S))

@@ -103,3 +103,23 @@ def test_what_is_recorded_is_seen_and_a_plan_is_held_back_and_goes_on(page: Brow
         assert page.complaints == []
     with bootstrap.services(home) as services:
         assert [one.status for one in planned_recordings.show(services, "plate")] == ["recorded", "recorded"]
+
+
+def test_levels_are_planned_and_forgotten_in_the_page(page: Browser, home: Path) -> None:
+    with serving(home) as site:
+        page.visit(f"{site}/recordings?campaign=plate")
+        page.run("document.querySelector('#plan-levels').open = true")
+        page.write("#each", "10kN")
+        page.write("#near", "6kN")
+        page.click("#plan-levels button.main")
+        page.wait_for("document.querySelector('#plan-levels .problem').textContent.includes('near both')")
+        page.complaints.clear()  # the browser notes the refusal
+        page.run("document.querySelector('#near').value = ''")
+        page.write("#near", "200N")
+        page.click("#plan-levels button.main")
+        page.wait_for(f"{PLAN_OF}.includes('plate/S02 is next: waits for load_n = any multiple of 10000')")
+        assert "plate/S02 to be added" in page.run(PLAN_OF)
+        page.click("#drop-plate")
+        page.click("#confirm button[value=yes]")
+        page.wait_for(f"{PLAN_OF}.includes('Nothing is planned')")
+        assert page.complaints == []

@@ -95,9 +95,28 @@ def test_a_plan_is_made_held_moved_skipped_and_forgotten(web: httpx2.Client) -> 
     assert planned(web) == {}
 
 
+def test_levels_are_planned_held_and_forgotten(web: httpx2.Client) -> None:
+    stepped = {"channel": "load_n", "each": "10kN", "tolerance": "200N", "hold_s": 10.0}
+    (one,) = asked(web, "recordings/planned", 201, campaign="seen", **stepped)
+    assert (one["state"], one["is_added"], one["is_next"]) == ("t0002", True, True)
+    assert one["trigger"] == "load_n = any multiple of 10 +- 0.2 kN for 10 s"
+    assert asked(web, "recordings/planned/hold", campaign="seen")["held"] == ["t0002"]
+    assert [kept["status"] for kept in web.get("recordings/planned").json()] == ["held"]
+    page = web.get(str(web.base_url).removesuffix("api/v1/") + "recordings", params={"campaign": "seen"}).text
+    assert "to be added" in page
+    assert 'id="change-seen-t0002"' not in page  # it is no state that could be held back alone
+    assert asked(web, "recordings/planned/go", campaign="seen")["going"] == ["t0002"]
+    assert asked(web, "recordings/planned/drop", campaign="seen")["dropped"] == ["t0002"]
+    assert web.get("recordings/planned").json() == []
+
+
 @pytest.mark.parametrize(
     ("body", "words"),
     [
+        ({"each": "10kN"}, "each goes with channel and tolerance"),
+        ({"each": "10kN", "tolerance": "1N", "channel": "cycles", "at_cycles": [5]}, "each goes with"),
+        ({"each": "10kN", "channel": "load_n"}, "channel and tolerance go together"),
+        ({"each": "ten", "channel": "load_n", "tolerance": "1N"}, "each is 'ten', which is no quantity"),
         ({"every_s": 60.0, "at_cycles": [1, 2]}, "one thing to wait for"),
         ({"channel": "load_n"}, "channel and tolerance go together"),
         ({"tolerance": "500N"}, "channel and tolerance go together"),

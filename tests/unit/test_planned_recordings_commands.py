@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 from support.command import answer, inside
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -87,10 +88,66 @@ def test_what_comes_next_is_told_with_what_it_waits_for(services: Services) -> N
     assert [one["status"] for one in answer("status", "--home", home)["planned"]] == ["held"]
 
 
+LEVELS = ("wing", "--on", "load_n", "--each", "10kN", "--tolerance", "200N")
+
+
+def test_levels_are_planned_shown_held_and_dropped(services: Services) -> None:
+    home = str(services.settings.home)
+    told = inside("acquire", "plan", *LEVELS, "--hold", "10s", "--process", "--home", home)
+    said = "wing: a new state at each multiple of 10 kN at which load_n stays for 10 s; the next is S04\n"
+    assert said in told.stdout
+    assert "wing/S04 is next: waits for load_n = any multiple of 10 +- 0.2 kN for 10 s" in told.stdout
+    assert "no worker serves rig-bench" in told.stdout
+    (one,) = plan(services, "show")
+    assert (one["state"], one["is_added"], one["status"]) == ("S04", True, "planned")
+    assert answer("campaign", "show", "wing", "--home", home)["campaign"]["states"][-1]["label"] == "S03"
+    assert "next of wing  S04, waits for load_n" in inside("status", "--home", home).stdout
+    assert "held back: S04" in inside("acquire", "plan", "hold", "wing", "--home", home).stderr
+    assert "it is held back" in plan(services, "show", "wing")[0]["waits_for"]
+    assert "goes on: S04" in inside("acquire", "plan", "go", "wing", "--home", home).stderr
+    # States that are there come first, and are planned as ever; other levels take the place of these.
+    assert triggers(services, "wing", "--next")["S04"].startswith("load_n = any multiple of 10")
+    assert [one["is_next"] for one in plan(services, "show")] == [True, False, False, False, False]
+    assert triggers(services, *LEVELS, "--hold", "0s")["S04"].endswith("+- 0.2 kN for 0 s")
+    assert refused(services, "acquire", "plan", "drop", "wing")[0] == 0
+    assert plan(services, "show") == []
+
+
+def test_levels_of_a_counter_have_no_unit(services: Services) -> None:
+    told = inside(
+        *("acquire", "plan", "wing", "--on", "cycles", "--each", "1000", "--tolerance", "5"),
+        *("--home", str(services.settings.home)),
+    )
+    assert "a new state at each multiple of 1000 at which cycles stays for 5 s" in told.stdout
+
+
+def test_a_session_is_given_no_poses(services: Services) -> None:
+    session = small_session("poses")
+    register_campaign(services.catalogue, services.archive, session, None, datetime.now(UTC))
+    found = refused(services, "acquire", "plan", "poses", *LEVELS[1:])
+    assert (found[0], "poses is a calibration session" in found[1]) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
         ("wing", 2, "say what to wait for"),
+        ("wing --each 10kN", 2, "say what to wait for"),
+        ("wing --each 10kN --next", 2, "--each goes with --on CHANNEL"),
+        ("wing --each 10kN --every 5s", 2, "--each goes with --on CHANNEL"),
+        ("wing --each 10kN --at-cycles 5", 2, "--each goes with --on CHANNEL"),
+        ("wing --each 10kN --at-cycles 5 --on load_n", 2, "--each goes with --on CHANNEL"),
+        ("wing --on load_n --each 10kN", 2, "--tolerance how near load_n must be"),
+        ("wing --on load_n --each 10 --tolerance 1N", 2, "each is '10', which has no unit: write it in N"),
+        ("wing --on load_n --each 10mm --tolerance 1N", 2, "'mm' is no unit of it"),
+        ("wing --on load_n --each 10kN --tolerance 1", 2, "'1', which has no unit"),
+        ("wing --on load_n --each 10kN --tolerance 0N", 2, "give one above 0"),
+        ("wing --on load_n --each 0kN --tolerance 1N", 2, "loads are apart by more than 0"),
+        ("wing --on load_n --each -5kN --tolerance 1N", 2, "--each is '-5kN', and loads are apart"),
+        ("wing --on load_n --each 10kN --tolerance 5kN", 2, "give a tolerance below 5 kN, or a greater"),
+        ("wing --on load_n --each 10kN --tolerance 1N -s S00", 2, "and S00 is no new one: leave out --state"),
+        ("wing --on strain --each 10kN --tolerance 1N", 3, "rig bench has no channel 'strain'"),
+        ("tail --on load_n --each 10kN --tolerance 1N", 3, "no campaign 'tail'"),
         ("wing --next --every 5s", 2, "say what to wait for"),
         ("wing --on load_n --at-cycles 5 --next", 2, "say what to wait for"),
         ("wing --every 15", 2, "'15', which has no unit: write it in s, ms, min, h"),

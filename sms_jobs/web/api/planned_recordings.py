@@ -9,7 +9,7 @@ from fastapi import Query
 from pydantic import Field
 
 from sms_jobs.app.measuring import planned_recordings, quick_looks
-from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
+from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLevels, AtLoad, InTime, When
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.gauge_limits import Look, gauge_limit
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
@@ -41,6 +41,13 @@ class NewPlan(RequestBody):
     tolerance: Annotated[
         Text | None, Field(description="How near the channel has to be, with its unit, as 500N.")
     ] = None
+    each: Annotated[
+        Text | None,
+        Field(
+            description="Add a state at each multiple of this that the channel stays near, with its unit, as "
+            "10kN, and record it there; goes with `channel` and `tolerance`, and without `states`."
+        ),
+    ] = None
     at_cycles: Annotated[
         list[Count] | None,
         Field(min_length=1, max_length=1000, description="Numbers of cycles, a state at each."),
@@ -71,6 +78,8 @@ class NewPlan(RequestBody):
         at_load = self.channel is not None and self.at_cycles is None
         if [at_load, self.at_cycles is not None, self.every_s is not None].count(True) > 1:
             raise InvalidInput("give one thing to wait for: every_s, at_cycles, or channel with tolerance")
+        if self.each is not None and not at_load:
+            raise InvalidInput("each goes with channel and tolerance, and without at_cycles: leave it out")
         if at_load is (self.tolerance is None):
             raise InvalidInput(
                 "channel and tolerance go together, and without at_cycles: state how near the channel "
@@ -81,6 +90,9 @@ class NewPlan(RequestBody):
             if any(later <= earlier for earlier, later in pairwise(self.at_cycles)):
                 raise InvalidInput("at_cycles: each number should exceed the one before")
             return AtCycles(tuple(self.at_cycles), self.channel or "cycles", self.hold_s)
+        if self.channel is not None and self.tolerance is not None and self.each is not None:
+            each, tolerance = typed(self.each, "each"), typed(self.tolerance, "tolerance")
+            return AtLevels(self.channel, each, tolerance, self.hold_s)
         if self.channel is not None and self.tolerance is not None:
             return AtLoad(self.channel, typed(self.tolerance, "tolerance"), self.hold_s)
         return InTime(self.every_s)
