@@ -377,6 +377,9 @@ def test_a_plan_of_levels_alone_is_shown_and_dropped(stepped: Catalogue) -> None
     (one,) = shown(stepped)
     assert one.waits_for.replace("; it read 8.25 last", "") == one.unless_read
     with stepped.writing() as session:
+        for change in (planned_recordings.skip, planned_recordings.drop):
+            with pytest.raises(NotFound, match="S02 of plate is not there before its load is held: name no"):
+                change(session, "plate", ["S02"])
         assert planned_recordings.drop(session, "plate", []) == ["S02"]
         assert not planned_recordings.anything_open(session)
         with pytest.raises(NotFound, match="nothing is planned of plate"):

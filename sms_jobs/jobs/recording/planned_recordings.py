@@ -300,12 +300,23 @@ def _each(
     """Change some recordings of a plan, or all, and return and note those to which that is new."""
     number = lock(session, campaign)
     rows = planned(session, [number])
+    if labels and planned_levels.are_there(session, number):
+        _refuse_next(campaign, labels, planned_levels.next_state(session, number))
     chosen = [_of(rows, campaign, label) for label in labels] if labels else rows
     if not chosen and not planned_levels.are_there(session, number):
         raise NotFound(f"nothing is planned of {campaign}; 'sms acquire plan {campaign} --next' plans all")
     changed = [one.label for one in chosen if change(one)]
     changes.of_recordings(session, campaign, changed, became)
     return changed
+
+
+def _refuse_next(campaign: str, labels: Collection[str], coming: str) -> None:
+    """Raise `NotFound` for the state that levels add next: it is shown, and is none yet."""
+    if coming in labels:
+        raise NotFound(
+            f"{coming} of {campaign} is not there before its load is held: name no state to hold, let go on "
+            "or drop the whole plan"
+        )
 
 
 def _next_label(session: Session, campaign: str) -> list[str]:
