@@ -15,6 +15,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
+from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_row, definition, state_ids
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow, PlannedRecordingRow
@@ -161,9 +162,9 @@ def add(
             state = _state(before, one.levels, level)
             after = with_state(before, state)
             planned = drafted(session, one.asked(state.label), now, after)
-        changes = _Changes(one, state.label, level, planned, now, holder)
+        effects = _Changes(one, state.label, level, planned, now, holder)
         try:
-            amend_campaign(catalogue, archive, before, after, now, changes.claim, changes.enter)
+            amend_campaign(catalogue, archive, before, after, now, effects.claim, effects.enter)
         except _TooLate:
             return None
         except Conflict:
@@ -228,6 +229,8 @@ class _Changes:
         state_id = state_ids(session, number, [self.label])[self.label]
         job_id = recording_of(self.planned)
         enter(session, self.planned)
+        for became in ("planned", "begun"):
+            changes.of_recordings(session, self.one.campaign, [self.label], became)
         row = session.get_one(PlannedLevelsRow, number, populate_existing=True)
         last = select(func.max(PlannedRecordingRow.position)).where(PlannedRecordingRow.campaign_id == number)
         session.add(
