@@ -46,6 +46,10 @@ class SeenPoints:
         perfect calibration it follows a chi-square law of 2 partners - 1 degrees of freedom.
     freedom
         (n,), those degrees of freedom.
+    by_own
+        (2, n) in mm / px: how far a point moves away from the reference camera, along its ray, where the
+        noise of that camera's image moves the matches of all partners as if its pixel lay one px further
+        along the columns, or the rows.
     """
 
     xyz: Floats
@@ -53,6 +57,7 @@ class SeenPoints:
     ray_gap: Floats
     chi_square: Floats
     freedom: NDArray[np.int32]
+    by_own: Floats
 
 
 @inlined
@@ -98,11 +103,16 @@ def _first_depth(
 
 @inlined
 def _place(
-    direction: tuple[float, float, float], centre: Floats, depth: float, variance: float, xyz: Floats,
-    covariance: Floats, i: int,
+    direction: tuple[float, float, float], centre: Floats, depth: float, variance: float,
+    along: tuple[float, float], xyz: Floats, covariance: Floats, by_own: Floats, i: int,
 ) -> None:  # fmt: skip
-    """Fill in point i: where it lies, at a depth in units of a ray's direction, and its covariance."""
+    """Fill in point i: where it lies, at a depth in units of a ray's direction, and its covariance.
+
+    `along` is what the reference image's noise moves the depth by.
+    """
     at = 0
+    length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+    by_own[0, i], by_own[1, i] = length * along[0], length * along[1]
     for m in range(3):
         xyz[m, i] = centre[m] + depth * direction[m]
         for n in range(m, 3):
@@ -149,10 +159,10 @@ def _solved(
 
 @kernel
 def _meet_block(
-    start: int, stop: int, reference: tuple[Floats, Floats, Floats],
-    turns: Floats, shifts: Floats, pin_holes: Floats, lenses: Floats,
-    pixels: Floats, places: Floats, sigma: Floats, slopes: Floats,
+    start: int, stop: int, reference: tuple[Floats, Floats, Floats], turns: Floats, shifts: Floats,
+    pin_holes: Floats, lenses: Floats, pixels: Floats, places: Floats, sigma: Floats, slopes: Floats,
     xyz: Floats, covariance: Floats, gap: Floats, chi_square: Floats, freedom: NDArray[np.int32],
+    by_own: Floats,
 ) -> None:  # fmt: skip
     """Do the work of `meet_rays` for points start .. stop.
 
@@ -177,8 +187,7 @@ def _meet_block(
         a, b, chi, variance = 0.0, 0.0, np.nan, np.nan
         for _ in range(_STEPS):
             # Of the normal equations in (a, b, depth) the upper triangle and the right side.
-            aa = bb = 1.0 / own
-            ab, az, bz, zz = 0.0, 0.0, 0.0, 0.0
+            aa, ab, az, bb, bz, zz = 1.0 / own, 0.0, 0.0, 1.0 / own, 0.0, 0.0
             ra, rb, rz = -a / own, -b / own, 0.0
             chi = (a * a + b * b) / own
             for k in range(len(lenses)):
@@ -222,7 +231,8 @@ def _meet_block(
             gap[i] = np.nan
             continue
         chi_square[i], freedom[i] = chi, 2 * count - 1
-        _place(d, centre, depth, variance, xyz, covariance, i)
+        with_a, with_b, _, variance = _solved(aa, ab, az, bb, bz, zz, 0.0, 0.0, 1.0)
+        _place(d, centre, depth, variance, (-with_a / own, -with_b / own), xyz, covariance, by_own, i)
 
 
 def meet_rays(
@@ -258,7 +268,9 @@ def meet_rays(
     half of the reference image and half of the partner's. The former moves the matches of all partners alike,
     and is estimated with the depth, so that the covariance of a depth from three cameras is not that of
     independent pairs; how far it moves them depends on the surface's tilt, which `slopes` tell. The point is
-    taken on the pixel's own ray, which is free of noise, being named by its pixel.
+    taken on the pixel's own ray, which is free of noise, being named by its pixel. With N the normal matrix
+    in (a, b, depth) and v the variance of a, matches that are moved as by a = 1 move the solution by
+    N^-1 (N - 1 / v) e_a, and so the depth by -1 / v times its covariance with a in N^-1.
     """
     count = pixels.shape[1]
     result = SeenPoints(
@@ -267,6 +279,7 @@ def meet_rays(
         np.full(count, np.nan),
         np.full(count, np.nan),
         np.zeros(count, dtype=np.int32),
+        np.full((2, count), np.nan),
     )
     own = (reference.pose.matrix(), reference.pose.centre(), reference.intrinsics.vector())
     turns = np.stack([camera.pose.matrix() for camera in partners])
@@ -282,7 +295,7 @@ def meet_rays(
     def work(start: int, stop: int) -> None:
         _meet_block(
             start, stop, own, turns, shifts, pin_holes, lenses, at, seen, spread, along,
-            result.xyz, result.covariance, result.ray_gap, result.chi_square, result.freedom,
+            result.xyz, result.covariance, result.ray_gap, result.chi_square, result.freedom, result.by_own,
         )  # fmt: skip
 
     in_row_blocks(work, count, threads, block=4096)

@@ -174,3 +174,26 @@ def test_slopes_of_places_are_exact_of_a_plane_up_to_its_borders() -> None:
     alone = np.full((2, 20, 30), np.nan)
     alone[:, 10, 10] = 5.0
     assert np.isnan(slopes_of_places(alone, 4)).all()
+
+
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("tilt", [0.0, -0.9, 1.5])
+def test_what_the_reference_image_moves_a_point_by_is_a_difference(count: int, tilt: float) -> None:
+    """The derivative of the point by a shift of all matches along the surface, with weights of any size."""
+    (reference, *partners), pixels, _ = in_images(points(1), count)
+    normal = np.array([np.sin(tilt), 0.3, -np.cos(tilt)])
+    at = ray_directions(reference.intrinsics, reference.pose, pixels.T)[0] * 610.0 + reference.pose.centre()
+    step = 1e-3
+    shifts = step * np.array([[0.0, 1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, -1.0]])
+    rays = ray_directions(reference.intrinsics, reference.pose, (pixels + shifts).T)
+    along = (at - reference.pose.centre()) @ normal / (rays @ normal)
+    world = reference.pose.centre() + along[:, None] * rays
+    places = np.stack([project(one.intrinsics, one.pose, world).T for one in partners])
+    slopes = np.stack([places[..., 1] - places[..., 2], places[..., 3] - places[..., 4]], -1) / (2.0 * step)
+    sigma = SIGMA * np.random.default_rng(5).uniform(0.5, 2.0, (count - 1, 2, 1))
+    many = [np.repeat(one, 5, axis=-1) for one in (pixels, sigma, slopes[..., None])]
+    met = meet_rays(reference, partners, many[0], places, many[1], many[2])
+    depth = np.linalg.norm(met.xyz.T - reference.pose.centre(), axis=1)
+    found = [(depth[1] - depth[2]) / (2.0 * step), (depth[3] - depth[4]) / (2.0 * step)]
+    # A step of 10^-3 px bends the images by the square of 10^-3 / 2400.
+    np.testing.assert_allclose(met.by_own[:, 0], found, rtol=1e-4, atol=1e-6)
