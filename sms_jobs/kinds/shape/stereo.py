@@ -13,13 +13,11 @@ cylinder of 300 mm seen from 600 mm at 20 degrees that is 0.012 px, against 0.00
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
-from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.calibration_factors import calibration_factor, median_part, position_sigma
@@ -36,13 +34,10 @@ from sms_jobs.kinds.kind import (
     Scope,
     camera_tuples,
 )
-from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.point_matches import (
-    between_matches,
     match_statistics,
     matches_record,
     summary,
-    trusted_points,
 )
 from sms_jobs.kinds.products import (
     CALIBRATED,
@@ -54,6 +49,12 @@ from sms_jobs.kinds.products import (
     Product,
 )
 from sms_jobs.kinds.resolution import resolution_of_matches
+from sms_jobs.kinds.shape.partner_places import (
+    PartnerPlaces,
+    held_against_the_images,
+    places_of_pixels,
+    points_of_pixels,
+)
 from sms_jobs.kinds.shape.ray_images import (
     line_width,
     lines_summary,
@@ -61,10 +62,9 @@ from sms_jobs.kinds.shape.ray_images import (
     stated_of_lines,
     why_nothing,
 )
+from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
-from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.deformation.fields.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching.camera_matching import (
     RaySearch,
     TexturedCamera,
@@ -80,12 +80,9 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings
 from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.matching.verification import verify_displacement
-from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
-from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
-from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays, slopes_of_places
+from sms_jobs.metrology.geometry.camera import Camera
+from sms_jobs.metrology.geometry.several_cameras import SeenPoints
 from sms_jobs.metrology.images.masks import outside_box
-from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.texture_extent import textured_pixels
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import ImageMatches, Surface
@@ -96,67 +93,10 @@ from sms_jobs.records.subject import Subject
 
 _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
-_OFF_SIGMAS, _OFF_PX = 3.0, 0.05
-"""Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
 _PIXEL_VARIANCE = 1.0 / 12.0
 """Of a pixel's own square, px^2: what blurs an image beside the filter; a lens's blur is not known."""
 _MOST_SATURATED = 0.5
 """Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
-
-
-class StereoParameters(Parameters):
-    """How textures are matched between cameras, and which points are trusted."""
-
-    smoothing_px: float = Field(
-        0.6,
-        ge=0.0,
-        le=LARGEST_SMOOTHING_PX,
-        description="standard deviation of the filter that all textures pass before they are matched; 0 for "
-        "none",
-    )
-    subset_radius_px: int = Field(
-        12, ge=3, le=100, description="a subset has (2 radius + 1)^2 pixels, less those beside the specimen"
-    )
-    shape_order: int = Field(
-        2, ge=0, le=2, description="how a subset may deform between cameras: 0 shift, 1 affine, 2 quadratic"
-    )
-    spacing_px: int = Field(5, ge=1, le=100, description="distance of the matched points")
-    convergence_px: float = Field(
-        5e-4, gt=0.0, le=0.1, description="rms movement of a subset's pixels at which its iteration ends"
-    )
-    minimum_score: float = Field(
-        0.8, gt=0.0, lt=1.0, description="least zero-normalised cross-correlation of a match"
-    )
-    maximum_sigma_px: float = Field(
-        0.1, gt=0.0, description="largest standard deviation of a match, from noise and from its residual"
-    )
-    minimum_subset_part: float = Field(
-        0.3, gt=0.0, le=1.0, description="least part of a subset that shows the specimen"
-    )
-    epipolar_width_px: float | None = Field(
-        None,
-        gt=0.0,
-        le=100.0,
-        description="how far off the image of a pixel's ray its counterpart is looked for at first; six "
-        "standard deviations of what the calibration says of itself if not given, 3 where it says nothing",
-    )
-    maximum_epipolar_px: float = Field(
-        1.0,
-        gt=0.0,
-        description="largest median distance of the matches from the images of their rays; beyond, the "
-        "calibration is not that of these images",
-    )
-    edge_margin_px: int = Field(
-        5,
-        ge=1,
-        le=50,
-        description="rim of the specimen that no subset looks at: it mixes with what lies behind, which "
-        "moves otherwise from camera to camera",
-    )
-    outline: bool = Field(
-        True,
-        description="whether the specimen ends where its texture ends: no subset then looks behind it",
-    )
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,), several=True)
@@ -177,7 +117,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     nodes = sample_nodes(labels, parameters.spacing_px)
     factor = calibration_factor(inputs, _CALIBRATION, calibration)
     found: list[GridMatches] = []
-    spread: list[_Spread] = []
+    spread: list[PartnerPlaces] = []
     for number, (name, partner) in enumerate(zip(inputs.view.other_cameras, partners, strict=True)):
         progress(
             0.8 * number / len(partners), f"matching {len(nodes.x)} points of {inputs.view.camera} in {name}"
@@ -187,12 +127,12 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         noise, blur = (reference.noise, partner.noise), parameters.smoothing_px**2 + _PIXEL_VARIANCE
         images = prepare_images(reference.texture, partner.texture, labels, noise, blur=blur)
         found.append(_matched(inputs, reference, partner, images, nodes, parameters, search))
-        spread.append(_spread(images, found[-1], parameters, inputs.threads))
+        spread.append(places_of_pixels(images, found[-1], parameters, inputs.threads))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
     epipolar = refuse_far_from_rays(
         inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
     )
-    field = _points(reference, partners, spread, parameters.subset_radius_px, inputs.threads)
+    field = points_of_pixels(reference, partners, spread, parameters.subset_radius_px, inputs.threads)
     resolution = resolution_of_matches(
         parameters.subset_radius_px,
         cast(ShapeOrder, parameters.shape_order),
@@ -200,7 +140,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         parameters.spacing_px,
     )
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar, resolution)
-    surface = _held_against_the_images(surface, spread)
+    surface = held_against_the_images(surface, spread)
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
     }
@@ -298,76 +238,6 @@ def _matched(
         )
         raise MeasurementFailed(why_nothing(inputs.view, off))
     return found
-
-
-@dataclass(frozen=True)
-class _Spread:
-    """The matches with a partner, spread to every pixel and checked against the images.
-
-    Attributes
-    ----------
-    place, variance
-        (2, rows, columns): where the partner sees what the pixel sees, in px, NaN where nobody has looked or
-        the images disagree, and its variances in px^2.
-    disagree
-        (rows, columns): where there was a place at which the partner shows something else.
-    """
-
-    place: Floats
-    variance: Floats
-    disagree: Mask
-
-
-def _spread(
-    images: PreparedImages, found: GridMatches, parameters: StereoParameters, threads: int
-) -> _Spread:
-    """Spread matches to the pixels, and compare the images again along what comes of that."""
-    labels, radius = images.labels, parameters.subset_radius_px
-    plane = in_space(pixels_as_plane(labels.shape))
-    shift, variance = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
-    shift[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
-    verified = verify_displacement(
-        images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
-    )
-    place = _well_inside(
-        np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
-    )
-    allowed = np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)
-    off = (verified.bias > allowed).any(axis=0)
-    # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
-    disagree = ndimage.binary_opening(off | ~verified.agrees, np.ones((3, 3))) & np.isfinite(place[0])
-    place[:, disagree] = np.nan
-    return _Spread(place, variance, disagree)
-
-
-def _points(
-    reference: TexturedCamera, partners: list[TexturedCamera], spread: list[_Spread], lever: int, threads: int
-) -> SeenPoints:
-    """Return the point of each pixel."""
-    pixels = pixel_grid(*reference.texture.shape).reshape(-1, 2).T
-    places = np.stack([one.place.reshape(2, -1) for one in spread])
-    sigma = np.stack([np.sqrt(one.variance).reshape(2, -1) for one in spread])
-    slopes = np.stack([slopes_of_places(one.place, lever).reshape(2, 2, -1) for one in spread])
-    cameras = [one.camera for one in partners]
-    return meet_rays(reference.camera, cameras, pixels, places, sigma, slopes, threads)
-
-
-def _held_against_the_images(surface: Surface, spread: list[_Spread]) -> Surface:
-    """Return the surface with the reason of pixels that no partner shows as the reference camera does."""
-    disagree = np.any([one.disagree for one in spread], axis=0) & np.isnan(surface.position[0])
-    unseen = disagree & (surface.reason == Reason.NO_MATCH)
-    return replace(surface, reason=np.where(unseen, np.uint32(Reason.IMAGES_DISAGREE), surface.reason))
-
-
-def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
-    """Return places (2, rows, columns) in a partner's image, NaN beyond a margin from its border.
-
-    There subsets are cut, and a place is told from those further in alone.
-    """
-    rows, columns = shape
-    low, high = float(margin_px), np.array([columns, rows])[:, None, None] - 1.0 - margin_px
-    inside = ((places >= low) & (places <= high)).all(axis=0)
-    return np.asarray(np.where(inside, places, np.nan))
 
 
 def _surface(

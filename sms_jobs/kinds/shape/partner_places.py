@@ -1,0 +1,100 @@
+"""Where partners see what each pixel of the reference camera sees, and the points that follow from that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from sms_jobs.kinds.point_matches import between_matches, trusted_points
+from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
+from sms_jobs.metrology.arrays import Floats, Mask
+from sms_jobs.metrology.deformation.fields.displacement import blend_matches
+from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCamera
+from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
+from sms_jobs.metrology.deformation.matching.grid import GridMatches
+from sms_jobs.metrology.deformation.matching.verification import verify_displacement
+from sms_jobs.metrology.geometry.camera import pixel_grid
+from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
+from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays, slopes_of_places
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.reasons import Reason
+
+_OFF_SIGMAS, _OFF_PX = 3.0, 0.05
+"""Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
+
+
+@dataclass(frozen=True)
+class PartnerPlaces:
+    """The matches with a partner, spread to every pixel and checked against the images.
+
+    Attributes
+    ----------
+    place, variance
+        (2, rows, columns): where the partner sees what the pixel sees, in px, NaN where nobody has looked or
+        the images disagree, and its variances in px^2.
+    disagree
+        (rows, columns): where there was a place at which the partner shows something else.
+    """
+
+    place: Floats
+    variance: Floats
+    disagree: Mask
+
+
+def places_of_pixels(
+    images: PreparedImages, found: GridMatches, parameters: StereoParameters, threads: int
+) -> PartnerPlaces:
+    """Spread matches to the pixels, and compare the images again along what comes of that."""
+    labels, radius = images.labels, parameters.subset_radius_px
+    plane = in_space(pixels_as_plane(labels.shape))
+    shift, variance = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
+    shift[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
+    verified = verify_displacement(
+        images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
+    )
+    place = _well_inside(
+        np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
+    )
+    allowed = np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)
+    off = (verified.bias > allowed).any(axis=0)
+    # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
+    disagree = ndimage.binary_opening(off | ~verified.agrees, np.ones((3, 3))) & np.isfinite(place[0])
+    place[:, disagree] = np.nan
+    return PartnerPlaces(place, variance, disagree)
+
+
+def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
+    """Return places (2, rows, columns) in a partner's image, NaN beyond a margin from its border.
+
+    There subsets are cut, and a place is told from those further in alone.
+    """
+    rows, columns = shape
+    low, high = float(margin_px), np.array([columns, rows])[:, None, None] - 1.0 - margin_px
+    inside = ((places >= low) & (places <= high)).all(axis=0)
+    return np.asarray(np.where(inside, places, np.nan))
+
+
+def points_of_pixels(
+    reference: TexturedCamera,
+    partners: Sequence[TexturedCamera],
+    spread: Sequence[PartnerPlaces],
+    lever: int,
+    threads: int,
+) -> SeenPoints:
+    """Return the point of each pixel; `lever` is the distance in px over which slopes are taken."""
+    pixels = pixel_grid(*reference.texture.shape).reshape(-1, 2).T
+    places = np.stack([one.place.reshape(2, -1) for one in spread])
+    sigma = np.stack([np.sqrt(one.variance).reshape(2, -1) for one in spread])
+    slopes = np.stack([slopes_of_places(one.place, lever).reshape(2, 2, -1) for one in spread])
+    cameras = [one.camera for one in partners]
+    return meet_rays(reference.camera, cameras, pixels, places, sigma, slopes, threads)
+
+
+def held_against_the_images(surface: Surface, spread: Sequence[PartnerPlaces]) -> Surface:
+    """Return the surface with the reason of pixels that no partner shows as the reference camera does."""
+    disagree = np.any([one.disagree for one in spread], axis=0) & np.isnan(surface.position[0])
+    unseen = disagree & (surface.reason == Reason.NO_MATCH)
+    return replace(surface, reason=np.where(unseen, np.uint32(Reason.IMAGES_DISAGREE), surface.reason))
