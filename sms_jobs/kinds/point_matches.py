@@ -54,6 +54,7 @@ def trusted_points(grid: GridMatches, labels: NDArray[np.int32]) -> ImagePoints:
         labels[grid.y[matched], grid.x[matched]],
         np.ascontiguousarray(grid.matches.warp[matched]),
         grid.matches.sigma[matched],
+        1.0 / np.fmax(grid.matches.misfit[matched], 1.0),
     )
 
 

@@ -137,6 +137,12 @@ def independent_covariance(surface: Surface) -> NDArray[np.floating]:
     return covariance if surface.texture_part is None else covariance * (1.0 - surface.texture_part)
 
 
+def noise_covariance(surface: Surface) -> NDArray[np.floating]:
+    """Return what of `position_covariance` differs between recordings of what stands still: the noise."""
+    covariance = position_covariance(surface)
+    return covariance if surface.noise_part is None else covariance * surface.noise_part
+
+
 def bias_in_space(moved: DisplacementField) -> NDArray[np.floating] | None:
     """Return the part of a displacement's covariance (6, rows, columns) that is no noise; None for none."""
     return None if moved.bias is None else covariance_in_space(moved.bias)

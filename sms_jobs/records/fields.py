@@ -109,6 +109,12 @@ class Surface:
     resolution_px
         Period in the image of a wave of shape of which 90 % of the amplitude is left, where positions come
         from matches between cameras; None where each pixel is measured by itself.
+    shape_order, own_noise, noise_part
+        Where positions come from matches between cameras; None elsewhere. The first is that of the subsets'
+        deformation. The second is one standard deviation, positive away from the camera, for noise that moves
+        the matches along the columns and for noise that moves them along the rows: a match in time has the
+        same noise. The third is by the images' noise; the rest is what subsets cannot follow, which two
+        recordings have in common only where nothing has moved.
     """
 
     view: str
@@ -133,6 +139,15 @@ class Surface:
     )
     axes: Axes = "XYZ"
     resolution_px: float | None = None
+    shape_order: int | None = None
+    own_noise: Singles | None = array(
+        "mm",
+        "how far the noise of the camera's own image moves the position along its ray",
+        VECTOR_IMAGE,
+        ("x", "y"),
+        default=None,
+    )
+    noise_part: Singles | None = array("1", "part of the covariance that is the images' noise", default=None)
 
     @property
     def camera(self) -> str:

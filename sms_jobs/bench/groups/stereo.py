@@ -37,7 +37,7 @@ from sms_jobs.bench.two_cameras.rigid_plates import (
 )
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.shape import stereo
-from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.kinds.surface_ports import noise_covariance
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.scene import Plane
@@ -172,21 +172,21 @@ def _still(run: Run) -> Iterator[Found]:
     yield Condition(
         "static",
         f"rms change of Z from the first to the next {len(states)} recordings of what does not move over "
-        f"what the covariance says, over {len(changes)} pixels, cameras of {columns} x {_rows(columns)} px, "
-        "12 bit; a plate, and a cylinder, whose matches leave over more than noise: that goes into its "
-        "covariance but never changes; wanted 0.8 to 1.2",
+        f"what the covariance's part by noise says, over {len(changes)} pixels, cameras of {columns} x "
+        f"{_rows(columns)} px, 12 bit; a plate, and a cylinder, whose matches leave over more than noise: "
+        "that is in its covariance, but does not change; wanted 0.8 to 1.2",
     )
 
 
 def _changes(campaign: Made, states: tuple[str, ...], run: Run) -> Floats:
-    """Return the changes of Z of all pixels between the first state and others, in units of sigma."""
+    """Return the changes of Z of all pixels between the first state and others, in units of noise."""
     shelf, subject = reconstructed(*campaign, lambda words: None, run.threads, states)
     first: Surface = shelf.records["stereo", _reference(subject, shelf)]["surface"]
     found = []
     for state in states:
         again: Surface = shelf.records["stereo", replace(subject, state=state)]["surface"]
         both = (first.reason == 0) & (again.reason == 0)
-        variance = sum(position_covariance(one)[5][both].astype(np.float64) for one in (first, again))
+        variance = sum(noise_covariance(one)[5][both].astype(np.float64) for one in (first, again))
         found.append((again.position[2] - first.position[2])[both] / np.sqrt(variance))
     return np.concatenate(found)
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from sms_jobs.kinds.point_matches import between_matches, trusted_points
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.deformation.fields.displacement import blend_matches
+from sms_jobs.metrology.deformation.fields.displacement import blended
 from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCamera
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
@@ -35,12 +35,15 @@ class PartnerPlaces:
     place, variance
         (2, rows, columns): where the partner sees what the pixel sees, in px, NaN where nobody has looked or
         the images disagree, and its variances in px^2.
+    noise
+        (2, rows, columns), in px^2: what of the variances is the noise of both images.
     disagree
         (rows, columns): where there was a place at which the partner shows something else.
     """
 
     place: Floats
     variance: Floats
+    noise: Floats
     disagree: Mask
 
 
@@ -50,7 +53,8 @@ def places_of_pixels(
     """Spread matches to the pixels, and compare the images again along what comes of that."""
     labels, radius = images.labels, parameters.subset_radius_px
     plane = in_space(pixels_as_plane(labels.shape))
-    shift, variance = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
+    spread = blended(trusted_points(found, labels), plane, labels, radius, threads)
+    shift, variance = spread.value, spread.variance
     shift[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
     verified = verify_displacement(
         images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
@@ -63,7 +67,7 @@ def places_of_pixels(
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
     disagree = ndimage.binary_opening(off | ~verified.agrees, np.ones((3, 3))) & np.isfinite(place[0])
     place[:, disagree] = np.nan
-    return PartnerPlaces(place, variance, disagree)
+    return PartnerPlaces(place, variance, spread.noise, disagree)
 
 
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
@@ -91,6 +95,34 @@ def points_of_pixels(
     slopes = np.stack([slopes_of_places(one.place, lever).reshape(2, 2, -1) for one in spread])
     cameras = [one.camera for one in partners]
     return meet_rays(reference.camera, cameras, pixels, places, sigma, slopes, threads)
+
+
+def with_noise(
+    surface: Surface, met: SeenPoints, spread: Sequence[PartnerPlaces], shape_order: int
+) -> Surface:
+    """Return a surface with what the images' noise has in its covariance, and the reference image's alone.
+
+    That moves the matches of all partners alike, by half of their variance by noise; of several partners the
+    means are taken. `shape_order` is that of the subsets.
+    """
+    seen = [np.isfinite(one.place) for one in spread]
+    noise, variance = (
+        np.sum([np.where(s, one, 0.0) for s, one in zip(seen, each, strict=True)], axis=(0, 1))
+        for each in ([one.noise for one in spread], [one.variance for one in spread])
+    )
+    count = np.maximum(np.sum(seen, axis=(0, 1)), 1)
+    own = met.by_own.reshape(2, *noise.shape) * np.sqrt(0.5 * noise / count)
+    with np.errstate(invalid="ignore"):
+        part = noise / variance
+    bad = surface.reason != Reason.VALID
+    for values in (own, part[None]):
+        values[:, bad] = np.nan
+    return replace(
+        surface,
+        shape_order=shape_order,
+        own_noise=own.astype(np.float32),
+        noise_part=part.astype(np.float32),
+    )
 
 
 def held_against_the_images(surface: Surface, spread: Sequence[PartnerPlaces]) -> Surface:

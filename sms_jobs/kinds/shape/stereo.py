@@ -54,6 +54,7 @@ from sms_jobs.kinds.shape.partner_places import (
     held_against_the_images,
     places_of_pixels,
     points_of_pixels,
+    with_noise,
 )
 from sms_jobs.kinds.shape.ray_images import (
     line_width,
@@ -140,6 +141,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         parameters.spacing_px,
     )
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar, resolution)
+    surface = with_noise(surface, field, spread, parameters.shape_order)
     surface = held_against_the_images(surface, spread)
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
@@ -307,7 +309,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=14,
+    version=15,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

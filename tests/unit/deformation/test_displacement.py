@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from sms_jobs.metrology.deformation.fields.displacement import (
     ImagePoints,
     StateShape,
     blend_matches,
+    blended,
     displacement_field,
     pixel_pitch,
 )
@@ -87,6 +89,28 @@ def test_what_is_blended_are_the_weighted_means(rng: np.random.Generator, number
         expected = [np.sum(w * one) / np.sum(w) for one in each]
         # Rounding of a hundred terms.
         np.testing.assert_allclose(value[:, r, c], expected, rtol=1e-10)
+
+
+def test_the_noise_of_what_is_blended_is_the_mean_of_the_matches_noise(rng: np.random.Generator) -> None:
+    """As their variances are meant, and without what is added where all matches lie to one side."""
+    labels, xyz, radius = two_regions(), surface(), 6
+    on_grid = points_on(labels, AFFINE, sigma=2e-3, step=3)
+    count = len(on_grid.x)
+    part = rng.uniform(0.2, 1.0, count)
+    warp = on_grid.warp + rng.normal(0.0, 0.05, (count, 6))
+    points = ImagePoints(on_grid.x, on_grid.y, on_grid.region, warp, on_grid.sigma, part)
+    every = replace(points, noise_part=None)
+    found, whole = (blended(one, xyz, labels, radius) for one in (points, every))
+    known = labels > 0
+    np.testing.assert_array_equal(found.value[:, known], whole.value[:, known])
+    # Matches are alike, so that the blend has 1.39 times the variance of each wherever it is not carried.
+    np.testing.assert_allclose(whole.noise[:, known], 1.39 * 2e-3**2)
+    assert (found.variance[:, known] >= whole.noise[:, known] * (1.0 - 1e-12)).all()
+    assert (found.variance[:, 0, 0] > 2.0 * whole.noise[:, 0, 0]).all()
+    as_values = replace(every, warp=np.stack([part, *np.zeros((5, count))], axis=1))
+    mean = blended(as_values, xyz, labels, radius).value[0]
+    # Rounding of a hundred terms.
+    np.testing.assert_allclose((found.noise / whole.noise)[:, known], [mean[known]] * 2, rtol=1e-10)
 
 
 def test_curvature_leaves_no_bias(speckle) -> None:

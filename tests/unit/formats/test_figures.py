@@ -37,6 +37,8 @@ def cloud(rng: np.random.Generator) -> Surface:
         rng.random((60, 80), np.float32),
         sigma_calibration=np.ones((3, 60, 80), np.float32),
         texture_part=rng.random((60, 80), np.float32),
+        own_noise=rng.normal(size=(2, 60, 80)).astype(np.float32),
+        noise_part=rng.random((60, 80), np.float32),
     )
 
 
@@ -48,6 +50,8 @@ def test_every_field_of_a_record_can_be_drawn(cloud: Surface) -> None:
         "ray_gap",
         "sigma_calibration",
         "texture_part",
+        "own_noise",
+        "noise_part",
     )
     for field in plottable(Surface):
         assert pixels(plot_record(cloud, field)).shape[1] == 900

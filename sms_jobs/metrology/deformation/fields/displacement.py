@@ -25,7 +25,6 @@ _BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
 """By the numbers of a warp: the distance over which matches are blended, in subset radii, and the variance of
 blended matches over that of one (by quadrature): see `blend_matches`."""
 
-
 _HALF_DISC = 0.29
 """Mean distance of the matches about a pixel from it, in radii of blending, if they fill half a disc."""
 _CARRIED, _CHANCE = 0.25, 5.0
@@ -43,6 +42,9 @@ class ImagePoints:
         (n, 6): u, du/dx, du/dy, v, dv/dx, dv/dy, in px; or (n, 12), with the second derivatives.
     sigma
         (n, 2), standard deviations of u and v, in px.
+    noise_part
+        (n,), part of these variances that is the images' noise, the rest being what a subset cannot follow;
+        None for all.
     """
 
     x: Ints
@@ -50,6 +52,24 @@ class ImagePoints:
     region: NDArray[np.int32]
     warp: Floats
     sigma: Floats
+    noise_part: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Blended:
+    """Matches spread to every pixel of their regions, NaN where no match of the region is within reach.
+
+    Attributes
+    ----------
+    value, variance
+        (2, rows, columns): u and v in px, and their variances in px^2.
+    noise
+        (2, rows, columns), in px^2: what of the variances is the images' noise.
+    """
+
+    value: Floats
+    variance: Floats
+    noise: Floats
 
 
 @dataclass(frozen=True)
@@ -109,7 +129,8 @@ def _weighted_sums(
     near: Floats, count: int, pixel: tuple[int, int, int], place: tuple[float, float, float],
     scale: tuple[float, float], sums: Floats,
 ) -> None:  # fmt: skip
-    """Fill the weighted sums over the matches near a pixel: of 1, dx, dy, u, v, u^2, v^2 and both variances.
+    """Fill the weighted sums over the matches near a pixel: of 1, dx, dy, u, v, u^2, v^2, both variances,
+    and what of the two together is noise.
 
     `pixel` is its column, row and region, `place` where it lies in space, `scale` one over the square of a
     pixel's size there and half of one over that of the reach in px. Each match is a column of `near`, as
@@ -120,7 +141,7 @@ def _weighted_sums(
     column, row, label = float(pixel[0]), float(pixel[1]), float(pixel[2])
     x, y, z = place
     total, off_x, off_y, u_sum, v_sum = 0.0, 0.0, 0.0, 0.0, 0.0
-    u_squares, v_squares, u_noise, v_noise = 0.0, 0.0, 0.0, 0.0
+    u_squares, v_squares, u_noise, v_noise, of_images = 0.0, 0.0, 0.0, 0.0, 0.0
     for m in range(count):
         dx = column - near[0, m]
         dy = row - near[1, m]
@@ -143,8 +164,9 @@ def _weighted_sums(
         v_squares += w * v * v
         u_noise += w * near[7, m]
         v_noise += w * near[8, m]
+        of_images += w * near[21, m]
     sums[0], sums[1], sums[2], sums[3], sums[4] = total, off_x, off_y, u_sum, v_sum
-    sums[5], sums[6], sums[7], sums[8] = u_squares, v_squares, u_noise, v_noise
+    sums[5], sums[6], sums[7], sums[8], sums[9] = u_squares, v_squares, u_noise, v_noise, of_images
 
 
 @kernel
@@ -172,24 +194,25 @@ def _gather(matches: Floats, first: Ints, row: int, column: int, cells: int, nea
 @kernel
 def _blend_rows(
     start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
-    matches: Floats, reach: float, noise: float, value: Floats, variance: Floats,
+    matches: Floats, reach: float, factor: float, value: Floats, variance: Floats, noise: Floats,
 ) -> None:  # fmt: skip
-    """Do the work of `blend_matches` for rows start .. stop.
+    """Do the work of `blended` for rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
     `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
-    region, both variances, and 12 numbers of its warp.
+    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise.
     """
     cells = int(np.ceil(reach / side))
     scale = (1.0 / footprint**2, 0.5 / reach**2)
     near = np.empty((len(matches), 256))
-    sums = np.empty(9)
+    sums = np.empty(10)
     for row in range(start // side, (stop - 1) // side + 1):
         for column in range(first.shape[1] - 1):
             count = -1
             for r in range(max(row * side, start), min((row + 1) * side, stop)):
                 for c in range(column * side, min((column + 1) * side, labels.shape[1])):
                     value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
+                    noise[0, r, c] = noise[1, r, c] = np.nan
                     if labels[r, c] == 0:
                         continue
                     if count < 0:
@@ -203,11 +226,13 @@ def _blend_rows(
                     if not total > 0.0:
                         continue
                     one_sided = (sums[1] ** 2 + sums[2] ** 2) / (total * reach * _HALF_DISC) ** 2
+                    part = sums[9] / (sums[7] + sums[8])
                     for a in range(2):
                         mean = sums[3 + a] / total
-                        own = noise * sums[7 + a] / total
+                        own = factor * sums[7 + a] / total
                         scatter = max(sums[5 + a] / total - mean * mean, 0.0)
                         value[a, r, c] = mean
+                        noise[a, r, c] = part * own
                         variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
 
 
@@ -226,6 +251,11 @@ def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> floa
 def blending_reach(subset_radius: int, numbers: int) -> float:
     """Return the distance in px over which matches are blended whose warps have 6 or 12 numbers."""
     return _BLEND[numbers][0] * subset_radius
+
+
+def blending_factor(numbers: int) -> float:
+    """Return the variance of blended matches over that of one, of warps that have 6 or 12 numbers."""
+    return _BLEND[numbers][1]
 
 
 def blend_matches(
@@ -270,8 +300,16 @@ def blend_matches(
     noise makes them differ, is added to the variance, in full where they fill half a disc, less where their
     middle is nearer.
     """
+    found = blended(points, xyz, labels, subset_radius, threads)
+    return found.value, found.variance
+
+
+def blended(
+    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
+) -> Blended:
+    """Return what `blend_matches` does, and what of the variances is noise, which no border adds to."""
     rows, columns = labels.shape
-    noise = _BLEND[points.warp.shape[1]][1]
+    factor = blending_factor(points.warp.shape[1])
     reach = blending_reach(subset_radius, points.warp.shape[1])
     side = max(1, int(reach / 4))
     shape = (-(-rows // side), -(-columns // side))
@@ -280,22 +318,26 @@ def blend_matches(
     edges = np.arange(shape[0] * (shape[1] + 1))
     first = np.searchsorted(cell[order], edges).reshape(shape[0], shape[1] + 1)
     value = np.empty((2, rows, columns))
-    variance = np.empty((2, rows, columns))
+    variance, noise = np.empty((2, rows, columns)), np.empty((2, rows, columns))
     footprint = pixel_pitch(xyz, labels, 0.5)
     x, y = points.x[order], points.y[order]
     own_variance = (np.maximum(points.sigma[order], 1e-6) ** 2).T
     warp = np.zeros((WARP, len(order)))
     warp[: points.warp.shape[1]] = points.warp[order].T
     at = xyz[:, y, x]
+    whole = own_variance.sum(axis=0)
+    of_images = whole if points.noise_part is None else points.noise_part[order] * whole
     matches = np.concatenate(
-        [[x, y], at, [1.0 / own_variance.sum(axis=0), points.region[order]], own_variance, warp]
+        [[x, y], at, [1.0 / whole, points.region[order]], own_variance, warp, [of_images]]
     )
 
     def work(start: int, stop: int) -> None:
-        _blend_rows(start, stop, xyz, labels, footprint, side, first, matches, reach, noise, value, variance)
+        _blend_rows(
+            start, stop, xyz, labels, footprint, side, first, matches, reach, factor, value, variance, noise
+        )
 
     in_row_blocks(work, rows, threads)
-    return value, variance
+    return Blended(value, variance, noise)
 
 
 def _between_regions(labels: NDArray[np.int32]) -> Mask:
