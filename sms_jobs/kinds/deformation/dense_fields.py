@@ -15,14 +15,17 @@ from sms_jobs.kinds.point_matches import trusted_points
 from sms_jobs.kinds.resolution import extent_of_pixels, resolution_of_matches
 from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance
 from sms_jobs.metrology.deformation.fields import displacement
-from sms_jobs.metrology.deformation.fields.displacement import StateShape, blend_matches, displacement_field
+from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise
+from sms_jobs.metrology.deformation.fields.displacement import StateShape, blended, displacement_field
+from sms_jobs.metrology.deformation.fields.noise_correlation import noise_correlation
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
+from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.matching.verification import Verified, verify_displacement
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.images.masks import narrowed, widened
-from sms_jobs.records.fields import DisplacementField, ImageMatches
+from sms_jobs.records.fields import DisplacementField, ImageMatches, Surface
 from sms_jobs.records.reasons import Reason
 
 _PIXEL_REASONS = {
@@ -45,11 +48,18 @@ class ImageDisplacement:
         (2, rows, columns), of u and v by noise, in px^2.
     verified
         What the images say.
+    noise
+        (2, rows, columns), what of the variance is the noise of the two images, in px^2.
+    correlation
+        (rows, columns), of what an image's noise does to this match and to that between cameras which has
+        made the surface; 0 where none has.
     """
 
     value: NDArray[np.float64]
     variance: NDArray[np.float64]
     verified: Verified
+    noise: NDArray[np.float64]
+    correlation: NDArray[np.float64]
 
     def without(self, out: NDArray[np.bool_]) -> ImageDisplacement:
         """Return it with pixels (rows, columns) on which the images are known to disagree."""
@@ -66,13 +76,31 @@ def spread(
     """Spread the matches over their regions, and verify what comes of that."""
     surface, labels = before.surface, before.match_regions
     position = surface.position if surface.has_depth else in_space(pixels_as_plane(labels.shape))
-    value, variance = blend_matches(
-        trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads
-    )
+    found = blended(trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads)
     verified = verify_displacement(
-        images, value, parameters.subset_radius_px, parameters.shape_order, parameters.smoothing_px, threads
+        images,
+        found.value,
+        parameters.subset_radius_px,
+        parameters.shape_order,
+        parameters.smoothing_px,
+        threads,
     )
-    return ImageDisplacement(value, variance, verified)
+    correlation = np.full(labels.shape, _noise_in_common(surface, parameters))
+    return ImageDisplacement(found.value, found.variance, verified, found.noise, correlation)
+
+
+def _noise_in_common(surface: Surface, parameters: CorrelateParameters) -> float:
+    """Return the correlation of what one image's noise does to the match in time and to the surface.
+
+    0 where it does nothing to the surface, and where the match is not one of two images by subsets.
+    """
+    direct = parameters.method == "gauss-newton" and parameters.reference == "first"
+    if surface.own_noise is None or surface.shape_order is None or not direct:
+        return 0.0
+    return noise_correlation(
+        Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order)),
+        Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order)),
+    )
 
 
 def field_in_space(
@@ -98,6 +126,7 @@ def field_in_space(
         before.interior & agrees,
         averaging_radius=averaging,
         threads=threads,
+        common=_common_noise(image, before),
     )
     reason = before.surface.reason.copy()
     for status, why in _PIXEL_REASONS.items():
@@ -119,6 +148,13 @@ def field_in_space(
         found.bias.astype(np.float32),
         **_told_resolution(resolution, before, reason, radius),
     )
+
+
+def _common_noise(image: ImageDisplacement, before: TexturedState) -> CommonNoise | None:
+    """Return what match and shapes have in common, if anything."""
+    if before.pin_hole is None or not image.correlation.any():
+        return None
+    return CommonNoise(image.noise, image.correlation, np.array(before.pin_hole))
 
 
 def resolution_in_image(grid: GridMatches, before: TexturedState, parameters: CorrelateParameters) -> float:
@@ -161,6 +197,7 @@ def _shape(state: TexturedState) -> StateShape:
         position_covariance(surface),
         state.regions.labels,
         independent_covariance(surface),
+        surface.own_noise,
     )
 
 

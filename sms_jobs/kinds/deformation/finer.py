@@ -104,6 +104,7 @@ def take_subsets(
     step = np.zeros(image.value.shape[1:], dtype=np.uint8)
     tried = [Attempt(first, np.arange(len(grid.x)), grid)]
     now = Verdict(image.value, image.variance, image.verified, step)
+    noise, correlation = image.noise, image.correlation
     for one in ladder(first)[1:] if parameters.subsets == "adaptive" else ():
         wanted = worth_trying(now)
         finer = _matched(grid, wanted, images, one, parameters, threads)
@@ -115,7 +116,11 @@ def take_subsets(
         found.value[:, ~wanted] = np.nan
         number = np.full_like(step, len(tried) - 1)
         now = better_of(now, Verdict(found.value, found.variance, found.verified, number), one.radius)
-    return Choice(ImageDisplacement(now.value, now.variance, now.verified), now.step, tuple(tried))
+        taken = now.step == number
+        noise = np.where(taken, found.noise, noise)
+        correlation = np.where(taken, found.correlation, correlation)
+    chosen = ImageDisplacement(now.value, now.variance, now.verified, noise, correlation)
+    return Choice(chosen, now.step, tuple(tried))
 
 
 def _with(parameters: CorrelateParameters, subsets: Subsets) -> CorrelateParameters:

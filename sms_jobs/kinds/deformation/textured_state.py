@@ -44,6 +44,8 @@ class TexturedState:
         (rows, columns): which have their region all round them.
     matched
         (rows, columns): pixels with one label are matched together, those of 0 not at all.
+    pin_hole
+        Of the camera in mm, where its noise moves the surface along its rays.
     """
 
     texture: NDArray[np.floating]
@@ -53,6 +55,7 @@ class TexturedState:
     of_interest: NDArray[np.bool_]
     interior: NDArray[np.bool_]
     matched: NDArray[np.int32]
+    pin_hole: tuple[float, float, float] | None = None
 
     @property
     def match_regions(self) -> NDArray[np.int32]:
@@ -124,9 +127,12 @@ def _state(
     whole = _of_one_piece(texture, noise, surface, valid, chosen)
     if not surface.has_depth:
         return replace(whole, matched=valid.astype(np.int32))
+    sensor = inputs.read(CALIBRATION_OF_SHAPE, CALIBRATED).rig.sensor(surface.camera)
+    if surface.own_noise is not None:
+        x, y, z = sensor.pose.centre().tolist()
+        whole = replace(whole, pin_hole=(x, y, z))
     if parameters.regions == "none":
         return whole
-    sensor = inputs.read(CALIBRATION_OF_SHAPE, CALIBRATED).rig.sensor(surface.camera)
     regions = label_regions(
         surface.position,
         valid,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
 from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
+from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.metrology.images.masks import box_of
@@ -86,12 +87,16 @@ class StateShape:
         (rows, columns), regions; 0 for none.
     independent
         (6, rows, columns) in mm^2: what of the covariance a mean over pixels makes less; None for all.
+    own_noise
+        (2, rows, columns) in mm: how far the noise of the camera's own image moves points, see `CommonNoise`;
+        None where it does not.
     """
 
     position: Floats
     covariance: NDArray[np.floating]
     labels: NDArray[np.int32]
     independent: NDArray[np.floating] | None = None
+    own_noise: NDArray[np.floating] | None = None
 
     @property
     def averaged(self) -> NDArray[np.floating]:
@@ -360,6 +365,7 @@ def displacement_field(
     interior: Mask,
     averaging_radius: float,
     threads: int = 1,
+    common: CommonNoise | None = None,
 ) -> DenseDisplacement:
     """Return the displacement of the material point seen by every pixel of the reference image.
 
@@ -377,13 +383,16 @@ def displacement_field(
         positions go together over more than that, and an average would gain nothing.
     threads
         How many threads to use; the result does not depend on it.
+    common
+        What the images' noise does to the match, of shapes that have `own_noise` of the same images.
 
     Notes
     -----
     Thesis section 4.4.1. The noise of shape is independent from pixel to pixel while the match is already
     an average over its subset; averaging the displacement over less than a subset therefore costs no
     resolution. The covariance is that of both positions, averaged, plus that of the match, which is not,
-    carried through the deformed surface's slope along the image.
+    carried through the deformed surface's slope along the image; what match and shapes have in common of an
+    image's noise is taken off it.
     """
     rows, columns = reference.labels.shape
     part = box_of(reference.labels > 0)
@@ -421,6 +430,9 @@ def displacement_field(
             along = slope[i, axis] * slope[j, axis]
             biased[packed] += along * bias[axis]
             spread[packed] += along * (variance[axis] + bias[axis])
+    if common is not None and reference.own_noise is not None and deformed.own_noise is not None:
+        own = reference.own_noise[:, *part], deformed.own_noise
+        take_common_noise(spread, (xyz, end), labels, slope, own, (end_x, end_y), common.part(part), threads)
     for field in (moved, spread, biased, image_part):
         field[:, status != 0] = np.nan
     everywhere = np.full((rows, columns), OUTSIDE_REGION, dtype=np.int32)
