@@ -82,13 +82,14 @@ def perfect_session(random: np.random.Generator, sequence: FringeSequence | None
         ),
     )
     shown = sequence or _SEQUENCES[random.integers(len(_SEQUENCES))]
-    measurement = _recorded(calibration, scene, shown)
+    measurement = recorded(calibration, scene, shown)
     return Session(calibration, scene, measurement, exact_shape(Simulation(scene, "C1", "P1", (), "S00")))
 
 
-def _recorded(
+def recorded(
     calibration: Calibration, scene: Scene, sequence: FringeSequence, deformation: tuple[Any, ...] = ()
 ) -> Measurement:
+    """Record a scene with a sequence, frames in memory."""
     seen = render(Simulation(scene, "C1", "P1", deformation, "S00"), sequence)
     return Measurement(
         calibration.valid_from,
@@ -156,7 +157,7 @@ def mishaps(session: Session, random: np.random.Generator) -> Iterator[Mishap]:
     way = random.normal(size=3)
     x, y, z = (float(v) for v in way / np.linalg.norm(way))
     at = int(random.integers(2, count - 1))
-    after = _recorded(session.calibration, session.scene, sequence, (Rigid((0.0, 0.0, 0.0), (x, y, z)),))
+    after = recorded(session.calibration, session.scene, sequence, (Rigid((0.0, 0.0, 0.0), (x, y, z)),))
     stack = np.concatenate([frames[:at], after.frames.rows(0, frames.shape[1])[at:]])
     yield Mishap("specimen moved", changed(stack), (("camera and specimen still",),))
 
