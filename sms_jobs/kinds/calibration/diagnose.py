@@ -136,7 +136,7 @@ def _statistics(diagnosis: ResponseDiagnosis) -> dict[str, float]:
 KIND = Kind(
     name="diagnose",
     summary="the projector's response, from the fringes themselves, and the ripple that it causes",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=DiagnoseParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -277,7 +277,7 @@ def _statistics(observation: BarObservation, search: SphereSearch) -> dict[str, 
 KIND = Kind(
     name=OBSERVE_BAR,
     summary="find the spheres of a ball bar and points on them",
-    version=4,
+    version=5,
     scope=Scope.TUPLE,
     parameters=ObserveBarParameters,
     inputs=(_FRAMES, START, START_OF_BOARDS, *_SPECIAL),

@@ -26,7 +26,7 @@ from sms_jobs.records.fields import PhaseMaps
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
 
-_DOUBT = 3.0  # standard deviations of the noise from the threshold, within which a bit may be misread
+DOUBT = 3.0  # standard deviations of the noise from the threshold, within which a bit may be misread
 _SURE = 4.0  # the same without fringes, which a wrong bit would contradict
 _WRONG_SIGN = 0.35  # of the modulation: a pattern that is seen with less may be seen with the wrong sign
 _CLEAR, _NEAR_PX = 0.75, 5  # of the modulation, and the pixels across in which a clear pattern has to show it
@@ -123,9 +123,9 @@ def coarse_gradient(
     code = measurement.sequence.gray
     if code is None:
         return None
-    above, _, noise = _contrast(measurement, orientation, frames)
+    above, _, noise = pattern_contrast(measurement, orientation, frames)
     stripes = code.stripes_of(orientation)
-    return gradient_of_stripes(read_stripes(above, _DOUBT * noise, stripes).nearly_sure, stripes)
+    return gradient_of_stripes(read_stripes(above, DOUBT * noise, stripes).nearly_sure, stripes)
 
 
 def striped_gradient(measurement: Measurement, orientation: int, frames: NDArray[Any]) -> PhaseGradient:
@@ -148,7 +148,7 @@ def striped_gradient(measurement: Measurement, orientation: int, frames: NDArray
     sequence = measurement.sequence
     code = sequence.gray
     assert code is not None
-    above, threshold, noise = _contrast(measurement, orientation, frames)
+    above, threshold, noise = pattern_contrast(measurement, orientation, frames)
     if code.threshold == "inverse":
         modulation, mean = np.median(np.abs(above), axis=0), threshold.mean(axis=0)
     else:
@@ -173,7 +173,7 @@ def striped_gradient(measurement: Measurement, orientation: int, frames: NDArray
     )
 
 
-def _contrast(
+def pattern_contrast(
     measurement: Measurement, orientation: int, frames: NDArray[Any]
 ) -> tuple[Singles, Singles, Singles]:
     """Return how far patterns are above their threshold, (bits, rows, columns), the threshold, and its noise.
@@ -222,7 +222,7 @@ def check_stripes(
     assert code is not None
     for k, angle in enumerate(sequence.orientations_rad):
         along = f" along {degrees(angle):g} deg"
-        finding = _levels_mishap(measurement, k, patches.reshape(len(patches), -1)) if patches.size else None
+        finding = levels_mishap(measurement, k, patches.reshape(len(patches), -1)) if patches.size else None
         if finding is None:
             stripes = code.stripes_of(k)
             place = (phase.omega[k] / (2.0 * pi) + 0.5) * stripes
@@ -236,11 +236,11 @@ def check_stripes(
             )
 
 
-def _levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[Any]) -> str | None:
+def levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[Any]) -> str | None:
     """Say which patterns do not go with their threshold, frames (frames, pixels); None for none."""
     sequence = measurement.sequence
     assert sequence.gray is not None
-    above, threshold, noise = _contrast(measurement, orientation, frames[:, None, :])
+    above, threshold, noise = pattern_contrast(measurement, orientation, frames[:, None, :])
     if sequence.gray.threshold == "inverse":
         # Every pattern and its inverse are as bright together as all others are.
         off, within = np.abs(threshold - np.median(threshold, axis=0)), 1.0

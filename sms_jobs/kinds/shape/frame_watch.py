@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
-from sms_jobs.kinds.shape.foreign_patterns import offsets_of
+from sms_jobs.kinds.shape.code_watch import CodeFinding
+from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of
+from sms_jobs.metrology.arrays import Singles
 from sms_jobs.metrology.images.frame_motion import image_shifts
 from sms_jobs.metrology.phase.frame_fit import (
     FrameFit,
@@ -72,6 +74,7 @@ def check_frames(
     motion_px: float,
     ranged: bool,
     codes: tuple[JointCode, ...] = (),
+    doubt: CodeFinding | None = None,
 ) -> None:
     """Check that the frames agree with the fringe sequence and with each other.
 
@@ -87,6 +90,8 @@ def check_frames(
         Whether pixels may see several surfaces.
     codes
         What the frames of each orientation show, where the densities share a modulation.
+    doubt
+        What is wrong with fringes and the Gray code beside them.
 
     Raises
     ------
@@ -95,13 +100,17 @@ def check_frames(
 
     Notes
     -----
-    Nothing is said of frames with a Gray code, nor where fewer than 200 of the sampled pixels are lit.
+    Nothing is said where fewer than 200 of the sampled pixels are lit. Of a single density beside a Gray code
+    motion alone is looked for here, the rest by `code_watch`; what that cannot explain motion may.
     """
-    if measurement.sequence.gray is not None or not patches.size:
+    contradiction = f"the frames of {subject} are not what they are said to be: {{}}"
+    if doubt is not None:
+        moved = "" if doubt.explained or not patches.size else _motion(measurement, patches, (), motion_px)
+        raise MeasurementFailed(contradiction.format(moved or doubt.text))
+    if not patches.size:
         return
     sequence, grey = measurement.sequence, measurement.grey_levels
     densities = tuple(t for t in sequence.densities if t)
-    contradiction = "the frames of {} are not what they are said to be: {}"
     every = np.arange(len(patches))
     places = [every[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
     flat = patches.reshape(len(patches), -1)
@@ -110,26 +119,30 @@ def check_frames(
         return
     if codes:
         if finding := _jointly(measurement, codes, [flat[own][:, lit] for own in places], accepted_rad):
-            raise MeasurementFailed(contradiction.format(subject, finding))
+            raise MeasurementFailed(contradiction.format(finding))
         return
-    told = tuple(
-        SampledFrames(
-            flat[own][:, lit], densities, sequence.steps, grey, accepted_rad, offsets_of(measurement), ranged
+    told: tuple[SampledFrames, ...] = ()
+    if sequence.gray is None or len(densities) > 1:
+        coarse = [coarse_gradient(measurement, k, flat[:, None, lit]) for k in range(len(places))]
+        offsets = offsets_of(measurement)
+        told = tuple(
+            SampledFrames(
+                flat[own][:, lit], densities, sequence.steps, grey, accepted_rad, offsets, ranged, known
+            )
+            for own, known in zip(places, coarse, strict=True)
         )
-        for own in places
-    )
     fits = tuple(fit_frames(one) for one in told)
     mishap = None if all(fit.agrees for fit in fits) else find_mishap(told, fits)
     numbers = np.concatenate(places)
     finding = ""
     if mishap is None or mishap.what in _OF_ONE_FRAME:
         touched = () if mishap is None else tuple(f // sequence.steps for f in mishap.frames)
-        finding = _motion(measurement, patches[numbers], touched, motion_px)
+        finding = _motion(measurement, patches, touched, motion_px)
     if not finding and mishap is not None:
         finding = _in_words(mishap, _namer(measurement, numbers), densities)
     finding = finding or _phases(measurement, told, fits) or _uniform(measurement, flat[:, lit], places)
     if finding:
-        raise MeasurementFailed(contradiction.format(subject, finding))
+        raise MeasurementFailed(contradiction.format(finding))
 
 
 def _jointly(
@@ -232,10 +245,13 @@ def _motion(
 ) -> str:
     """Say between which fringes the image moves; nothing where it stands still, or cannot tell.
 
-    `touched` are the numbers of densities, counted over all orientations, whose frames are not as told.
+    `patches` are those of all frames of an exposure, `touched` the numbers of densities, counted over all
+    orientations, whose frames are not as told.
     """
     sequence, grey = measurement.sequence, measurement.grey_levels
-    means = patches.reshape(-1, sequence.steps, *patches.shape[1:]).mean(axis=1, dtype=np.float32)
+    means = _means(measurement, patches)
+    names = [_fringes(measurement, i) for i in range(len(means) - len(_codes(measurement)))]
+    names += [name for name, _ in _codes(measurement)]
     left = np.setdiff1d(np.arange(len(means)), touched)
     if left.size < 2:
         return ""
@@ -250,11 +266,41 @@ def _motion(
         return ""
     # Where it moves most from one density to the next.
     at = int(np.argmax(np.sum(np.square(np.diff(found.shift, axis=0)), axis=1)))
-    before, after = (_fringes(measurement, int(left[i])) for i in (at, at + 1))
+    before, after = (names[int(left[i])] for i in (at, at + 1))
     return (
         f"the image moves by {np.hypot(*moved):.2g} px while they are recorded, most between {before} and "
         f"{after}, and {accepted_px:g} px are accepted: keep camera and specimen still and record again"
     )
+
+
+def _means(measurement: Measurement, patches: NDArray[Any]) -> Singles:
+    """Return images in which fringes and stripes are gone, (images, patches, 2, columns).
+
+    The mean over the steps of each density of each orientation, and what a code has in their place.
+    """
+    sequence = measurement.sequence
+    every = np.arange(len(patches))
+    own = [every[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
+    fringes = patches[np.concatenate(own)].reshape(-1, sequence.steps, *patches.shape[1:])
+    code = [patches[place].mean(axis=0, dtype=np.float32) for _, place in _codes(measurement)]
+    return np.concatenate(
+        [fringes.mean(axis=1, dtype=np.float32), np.asarray(code).reshape(-1, *patches.shape[1:])]
+    )
+
+
+def _codes(measurement: Measurement) -> list[tuple[str, slice]]:
+    """Return the frames of a Gray code in whose mean its stripes are gone, and what they are called.
+
+    Patterns and their inverses, or white and black; of patterns alone there are none.
+    """
+    sequence = measurement.sequence
+    if sequence.gray is None or sequence.gray.threshold == "fringes":
+        return []
+    if sequence.gray.threshold == "white-black":
+        count = sequence.frames_per_exposure
+        return [("the white and the black frame", slice(count - 2, count))]
+    along = [degrees(angle) for angle in sequence.orientations_rad]
+    return [(f"the code along {one:g} deg", sequence.code_frames_of(k)) for k, one in enumerate(along)]
 
 
 def _fringes(measurement: Measurement, place: int) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Progress
+from sms_jobs.kinds.shape.code_watch import check_code
 from sms_jobs.kinds.shape.foreign_patterns import (
     check_stripes,
     coarse_gradient,
@@ -24,6 +25,7 @@ from sms_jobs.kinds.shape.foreign_patterns import (
     stated_by_what_is_left,
     striped_gradient,
 )
+from sms_jobs.kinds.shape.frame_lines import FrameLines
 from sms_jobs.kinds.shape.frame_watch import FramePatches, check_frames
 from sms_jobs.kinds.shape.fringe_response import (
     SampledResponse,
@@ -103,12 +105,16 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         response = sampled_response(task.subject, measurement, SampleParameters(), task.threads)
     known = _known(task, response)
     patches = FramePatches(rows, columns)
+    checked = sequence.gray is not None and bool(sequence.densities) and not sequence.joint
+    lines = FrameLines(rows, columns) if checked else None
     for slab, frames, exposure in exposed_slabs(measurement, task.threads):
         if parameters.method == UNWRAPPING:
             _unwrap_slab(task, known, slab, frames, phase, reason)
         else:
             range_slab(task, known, slab, frames, phase, returns, reason)
         patches.take(slab, frames)
+        if lines is not None:
+            lines.take(slab, frames)
         del frames  # before the next slab is asked for: two of them are in memory, not three
         _at_exposure_one(slab, exposure, phase, returns)
         progress(0.8 * slab.stop / rows, f"found phases in {slab.stop} of {rows} rows")
@@ -122,14 +128,17 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         mark(reason, lit & ~narrowed(lit, 3), Reason.OUTSIDE_REGION)
         check_stripes(task.subject, measurement, patches.stacked(), phase, reason == Reason.VALID)
         return Phases(phase, returns, reason, response)
+    accepted = parameters.maximum_phase_error_rad + (_largest_ripple(known.ripples) if corrected else 0.0)
+    doubt = None if lines is None else check_code(measurement, lines.stacked(), accepted, task.geometry)
     check_frames(
         task.subject,
         measurement,
         patches.stacked(),
-        parameters.maximum_phase_error_rad + (_largest_ripple(known.ripples) if corrected else 0.0),
+        accepted,
         parameters.maximum_motion_px,
         ranged=parameters.method != UNWRAPPING,
         codes=known.codes,
+        doubt=doubt,
     )
     return Phases(phase, returns, reason, response)
 

@@ -156,8 +156,10 @@ def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: 
             "median_sigma_mm": float(np.median(sigma)),
             "ray_gap_rms_mm": float(np.sqrt(np.mean(np.square(points.ray_gap[valid], dtype=np.float64)))),
             "median_modulation_count": float(np.median(phase.modulation[:, valid])),
-            "median_phase_error_rad": float(np.nanmedian(phase.phase_error[:, valid])),
         }
+        error = phase.phase_error[:, valid]
+        if np.isfinite(error).any():  # one density beside a Gray code has none
+            statistics["median_phase_error_rad"] = float(np.nanmedian(error))
     return statistics
 
 
@@ -194,7 +196,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=12,
+    version=13,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -19,7 +19,7 @@ from sms_jobs.metrology.arrays import Mask, Singles
 from sms_jobs.metrology.images.masks import phase_error_factor
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma, stepping_weights
-from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
+from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient, unwrap
 
 _CAP = 9.0
 """Of a squared misfit in units of its variance: what is off by more than three deviations is just wrong."""
@@ -49,6 +49,8 @@ class SampledFrames:
         What the patterns of each density add to the phase, in rad; none if empty.
     ranged
         Whether pixels may see several surfaces, so that their phases need not belong to one gradient.
+    coarse
+        What a code beside the fringes tells of the gradient at each pixel, (1, pixels); None for no code.
     """
 
     levels: NDArray[Any]
@@ -58,6 +60,15 @@ class SampledFrames:
     accepted_rad: float
     offsets: tuple[float, ...] = ()
     ranged: bool = False
+    coarse: CoarseGradient | None = None
+
+    def thinned(self, every: int) -> SampledFrames:
+        """Return the same of every so many pixels."""
+        levels = np.ascontiguousarray(self.levels[:, ::every])
+        if self.coarse is None:
+            return replace(self, levels=levels)
+        coarse = CoarseGradient(self.coarse.omega[:, ::every], self.coarse.half_width)
+        return replace(self, levels=levels, coarse=coarse)
 
     @property
     def least_share(self) -> float:
@@ -161,6 +172,7 @@ def fit_frames(sampled: SampledFrames) -> FrameFit:
         gain=grey.gain,
         read_noise=grey.read_noise,
         offsets=sampled.offsets,
+        coarse=sampled.coarse,
     )
     omega = np.nan_to_num(found.omega[0])
     stack = sampled.levels.reshape(len(densities), steps, -1).astype(np.float32)

@@ -73,7 +73,7 @@ def find_mishap(told: tuple[SampledFrames, ...], fits: Fits) -> Mishap | None:
         What `fit_frames` says of them.
     """
     step = max(1, told[0].levels.shape[1] // _TRIED)
-    thin = tuple(replace(one, levels=np.ascontiguousarray(one.levels[:, ::step])) for one in told)
+    thin = tuple(one.thinned(step) for one in told)
     wrong = any(fit.few_agree for fit in fits)
     if wrong and (steps := _steps(thin)):
         return Mishap("steps", stated=told[0].steps, actual=steps)

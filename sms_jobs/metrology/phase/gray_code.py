@@ -140,24 +140,25 @@ def order_mishap(stripe: Numbers, bits: int) -> str | None:
     as plain numbers the words of all pairs are neighbours, of a Gray code those of half of them.
     """
     pairs = _differing(stripe)
-    words = (_word(pairs[0]), _word(pairs[1]))
+    words = (word_of(pairs[0]), word_of(pairs[1]))
     if _beside(words) >= _EXPLAINED > _beside(pairs):
         return "the patterns are a plain binary code, not a Gray code"
     if _agreement(words, bits, lambda word: word) >= _NEXT:
         return None
     best, most = "the patterns are not in the order that is told: see order, bits and first", _EXPLAINED
-    for text, change in _explanations(bits):
+    for text, change in explanations(bits):
         share = _agreement(words, bits, change)
         if share > most:
             best, most = text, share
     return best
 
 
-def _word(number: Numbers) -> Numbers:
+def word_of(number: Numbers) -> Numbers:
+    """Return the word of the Gray code of a stripe."""
     return number ^ (number >> 1)
 
 
-def _number(word: Numbers) -> Numbers:
+def number_of(word: Numbers) -> Numbers:
     """Return the stripe of a word: a bit of it is the exclusive or of all bits above."""
     number = word.copy()
     for shift in (1, 2, 4, 8):
@@ -183,12 +184,12 @@ def _agreement(words: tuple[Numbers, Numbers], bits: int, change: Callable[[Numb
     """Return the share of neighbouring stripes at borders of the bit where it is least; 1 of no borders."""
     one, other = change(words[0]), change(words[1])
     differ = one ^ other
-    beside = np.abs(_number(one) - _number(other)) == 1
+    beside = np.abs(number_of(one) - number_of(other)) == 1
     each = [beside[differ == 1 << k] for k in range(bits)]
     return min((float(b.mean()) for b in each if b.size >= _LEAST_BORDERS), default=1.0)
 
 
-def _explanations(bits: int) -> list[tuple[str, Callable[[Numbers], Numbers]]]:
+def explanations(bits: int) -> list[tuple[str, Callable[[Numbers], Numbers]]]:
     """Return what may be wrong with the order of patterns, and the words with that repaired."""
 
     def ordered(places: list[int]) -> Callable[[Numbers], Numbers]:
@@ -211,7 +212,7 @@ def _explanations(bits: int) -> list[tuple[str, Callable[[Numbers], Numbers]]]:
         places[i], places[j] = j, i
         found.append((f"bits {bits - 1 - j} and {bits - 1 - i} have changed places", ordered(places)))
     found += [
-        (f"bit {bits - 1 - k} is inverted: its pattern and its inverse have changed places", inverted(k))
+        (f"bit {bits - 1 - k} is inverted: bright and dark of its pattern have changed places", inverted(k))
         for k in range(bits)
     ]
     return found

@@ -15,7 +15,9 @@ from sms_jobs.formats.importers.frames import arrange
 from sms_jobs.formats.importers.guess import guess_layout
 from sms_jobs.formats.importers.inspection import camera_models, inspect, measurement_of
 from sms_jobs.formats.importers.layout import layout_of
+from sms_jobs.kinds.shape.code_watch import CodeFinding, check_code
 from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of
+from sms_jobs.kinds.shape.frame_lines import FrameLines
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
 from sms_jobs.records.measurement import Measurement
 
@@ -70,6 +72,28 @@ def test_twelve_steps_and_gray_code_of_slmaster() -> None:
     steps = np.diff(np.where(good, found.omega, np.nan), axis=1)
     assert np.nanpercentile(np.abs(steps), 99.0) < 0.1 * 2.0 * pi / 32
     assert np.nanmedian(steps) > 0.0
+
+
+def found_in(measurement: Measurement) -> CodeFinding | None:
+    rows, columns = measurement.frames.shape[1:]
+    lines = FrameLines(rows, columns)
+    lines.take(slice(0, rows), measurement.frames.rows(0, rows))
+    return check_code(measurement, lines.stacked(), 0.02, None)
+
+
+@pytest.mark.parametrize(
+    ("density", "offset_deg", "said"),
+    [
+        (32, 180.0, ""),
+        (31, 180.0, "along 0 deg 31 fringes are stated, but the phases are those of 32"),
+        (32, 0.0, "along 0 deg the fringes lie 3.1 rad beside the code, and 0.26 rad are accepted"),
+    ],
+)
+def test_fringes_and_code_of_slmaster_belong_together(density: int, offset_deg: float, said: str) -> None:
+    told = {"sequence": {"densities": (density,)}, "phase": {"origin": "edge", "offset_deg": offset_deg}}
+    found = found_in(measured(FOLDER / "slmaster_mono", told)[1])
+    assert (found is None) == (said == "")
+    assert found is None or said in found.text
 
 
 def test_two_densities_of_slstudio() -> None:
