@@ -50,7 +50,13 @@ class Recording:
 
 
 def record(
-    random: np.random.Generator, sequence: FringeSequence, gamma: float, noise: float, *, twice: bool
+    random: np.random.Generator,
+    sequence: FringeSequence,
+    gamma: float,
+    noise: float,
+    *,
+    twice: bool,
+    full_scale: int = _FULL_SCALE,
 ) -> Recording:
     """Record a plate, of which the left two thirds are lit `twice`, or once like the rest.
 
@@ -80,15 +86,15 @@ def record(
         for light, xy in ((strength, direct), (second, direct + away)):
             phase = density * phase_gradient(xy, *span, orientation)
             level += light * (0.5 + 0.5 * np.cos(phase + turn)) ** gamma
-        noisy = _FULL_SCALE * (level + noise * random.standard_normal(level.shape))
-        frames[index] = np.clip(np.rint(noisy), 0, _FULL_SCALE)
-    texture = np.rint(_FULL_SCALE * (0.02 + strength + second)).astype(np.uint16)
+        noisy = full_scale * (level + noise * random.standard_normal(level.shape))
+        frames[index] = np.clip(np.rint(noisy), 0, full_scale)
+    texture = np.rint(full_scale * (0.02 + strength + second)).astype(np.uint16)
     measurement = Measurement(
         START,
         sequence,
-        _FULL_SCALE,
+        full_scale,
         0.0,
-        float(np.hypot(_FULL_SCALE * noise, 12.0**-0.5)),
+        float(np.hypot(full_scale * noise, 12.0**-0.5)),
         texture,
         ArrayStack(frames),
     )

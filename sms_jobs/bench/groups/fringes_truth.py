@@ -1,4 +1,4 @@
-"""Where what was told is not so: boards that are bent, and boards that are perfect."""
+"""Where what was told is not so: boards, frames, codes, and what a projector and a pixel do to light."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from math import sqrt
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.fringes.broken_models import CASES, rms
+from sms_jobs.bench.fringes.accepted_cases import ACCEPTED, AcceptedCase
+from sms_jobs.bench.fringes.broken_models import CASES, Case, rms
+from sms_jobs.bench.fringes.code_mishaps import CODED, code_mishaps, coded_session
 from sms_jobs.bench.fringes.fringe_mishaps import (
     SILENT_MM,
     SILENT_SIGMA,
+    Mishap,
+    Session,
     is_named,
     mishaps,
     perfect_session,
@@ -44,6 +48,7 @@ _METHODS = (
     (FringeSequence(tuple(range(12))), ReconstructParameters(method="fdr", returns=2)),
 )
 _NOISES = (0.3, 0.5, 0.8, 1.3, 2.0, 3.0)  # grey levels of 255
+_TWO_WAYS, _ONE_WAY, _PATTERNS_ALONE = (0, 1, 3, 5), (7, 8), 2  # among the sequences with a code
 _FULL_SCALES = (255, 4095)
 _STEPS = (3, 4, 5)
 
@@ -121,15 +126,13 @@ def _perfect(run: Run, seed: int) -> Iterator[Found]:
 
 
 def _mishaps(run: Run, seed: int) -> Iterator[Found]:
-    """Yield how many of ten mishaps are named in all sessions, and the points that are silently wrong."""
+    """Yield how many mishaps are named in all sessions, and the points that are silently wrong."""
     sessions = 1 if run.quick else 4
     missed: set[str] = set()
     silent = lit = 0
     names: set[str] = set()
     for number in range(sessions):
-        random = np.random.default_rng(seed + number)
-        session = perfect_session(random)
-        for mishap in mishaps(session, random):
+        for session, mishap in _each_mishap(seed + number):
             run.say(f"fringes_truth: {mishap.name}, session {number + 1} of {sessions}")
             surface, said = reconstructed(session, mishap.measurement)
             names.add(mishap.name)
@@ -142,29 +145,46 @@ def _mishaps(run: Run, seed: int) -> Iterator[Found]:
     not_named = f"; not always named: {', '.join(sorted(missed))}" if missed else ""
     yield Condition(
         "mishaps",
-        f"{sessions} recordings of a plate by a camera of 128 px, each with one of "
-        f"{', '.join(sorted(names))}; named are those of which the refusal names the frame, the word or the "
-        "motion in every recording; the gain of 0.7 to 1.3 is of a frame not darker than the median; silent "
-        "are valid points, of all lit pixels, off by more than "
-        f"{SILENT_SIGMA:g} stated deviations and {SILENT_MM:g} mm; default parameters, noise, speckle, "
-        "exposure 0.3 to 1.1, gamma 1 to 1.2, defocus 0 to 1 px and three sequences drawn from seeds from "
-        f"{seed}{not_named}",
+        f"{sessions} recordings of a plate by a camera of 128 px, and three times as many of fringes beside "
+        f"a Gray code ('code'), each with one of {', '.join(sorted(names))}; named are those of which the "
+        "refusal names the frame, the word or the motion in every recording; the gain of 0.7 to 1.3 is of a "
+        "frame not darker than the median, and patterns are those that change where the specimen is; silent "
+        f"are valid points, of all lit pixels, off by more than {SILENT_SIGMA:g} stated deviations and "
+        f"{SILENT_MM:g} mm; default parameters, noise, speckle, exposure 0.3 to 1.1, gamma 1 to 1.2, defocus "
+        "0 to 1 px and three sequences, with a code exposure 0.7 to 1, gamma 1 to 1.3, defocus 0 to 1.5 px, "
+        f"four surfaces and seven sequences, drawn from seeds from {seed}{not_named}",
     )
+
+
+def _each_mishap(seed: int) -> Iterator[tuple[Session, Mishap]]:
+    """Yield each mishap of fringes, and of fringes beside three codes, one of one direction."""
+    random = np.random.default_rng(seed)
+    session = perfect_session(random)
+    yield from ((session, mishap) for mishap in mishaps(session, random))
+    for shown in (CODED[random.choice(_TWO_WAYS)], CODED[_PATTERNS_ALONE], CODED[random.choice(_ONE_WAY)]):
+        session = coded_session(random, shown)
+        yield from ((session, mishap) for mishap in code_mishaps(session, random))
 
 
 def _accepted(run: Run, seed: int) -> Iterator[Found]:
     """Yield how many recordings to which nothing happened are reconstructed."""
     count = 4 if run.quick else _PERFECT
     accepted, refused = 0, ""
-    for number in range(count):
-        run.say(f"fringes_truth: a recording to which nothing happened, {number + 1} of {count}")
-        session = perfect_session(np.random.default_rng(seed + 1000 + number))
+    for number in range(2 * count):
+        run.say(f"fringes_truth: a recording to which nothing happened, {number + 1} of {2 * count}")
+        random = np.random.default_rng(seed + 1000 + number)
+        session = coded_session(random, hard=True) if number % 2 else perfect_session(random)
         _, said = reconstructed(session, session.measurement)
         accepted += not said
         refused = refused or said
-    yield Figure("perfect_recordings_accepted", float(accepted), "1", float(count), "at least")
+    yield Figure("perfect_recordings_accepted", float(accepted), "1", 2.0 * count, "at least")
     first = f"; the first refusal: {refused}" if refused else ""
-    yield Condition("perfect_recordings", f"{count} of those recordings, seeds from {seed + 1000}{first}")
+    yield Condition(
+        "perfect_recordings",
+        f"{count} of those recordings, and {count} of fringes beside a Gray code with noise of 8 to 100 "
+        f"levels of 4095, exponents up to 2.2 and half the depth of the fringes, "
+        f"seeds from {seed + 1000}{first}",
+    )
 
 
 def _mixed(run: Run, seed: int) -> Iterator[Found]:
@@ -228,11 +248,13 @@ def _noise(run: Run, seed: int) -> Iterator[Found]:
     )
 
 
-def _broken(run: Run, seed: int) -> Iterator[Found]:
-    """Yield how far off points are where projector and pixel are not what the model takes them for."""
+def judged_cases(
+    run: Run, seed: int, cases: tuple[Case | AcceptedCase, ...] = (*CASES, *ACCEPTED)
+) -> Iterator[Found]:
+    """Yield how far off points are in all cases that are accepted though something is not as it is told."""
     each = 2 if run.quick else 6
     far, count, worst, told = 0, 0, ("", 0.0), []
-    for index, case in enumerate(CASES):
+    for index, case in enumerate(cases):
         found, valid = [], []
         for number in range(each):
             run.say(f"fringes_truth: {case.name}, {number + 1} of {each}")
@@ -247,11 +269,13 @@ def _broken(run: Run, seed: int) -> Iterator[Found]:
     yield Figure("worst_z", worst[1], "1", 1.3, "at most")
     yield Condition(
         "broken_models",
-        f"{each} recordings of each of {len(CASES)} cases, {count} valid points, with exact truth: a tilted "
+        f"{each} recordings of each of {len(cases)} cases, {count} valid points, with exact truth: a tilted "
         "plate lit once or, on two thirds of it, twice by a projector of an exponent of 1.2 to 2.2, noise of "
         "0.1 to 0.5 % of full scale, or with a texture seen through pixels with and without a lens's spot; "
-        f"seeds from {seed}; rms of error over stated deviation of all points of a case: {'; '.join(told)}; "
-        f"the worst is {worst[0]}",
+        "plates before a wall, all points and those of pixels that see both; 8 bits, the noise as their "
+        "frames show it; a gain of 3 %, a shift of 0.04 px and a lamp that drifts by 2 % at most, and what "
+        f"is accepted of the mishaps; seeds from {seed}; rms of error over stated deviation of all points of "
+        f"a case: {'; '.join(told)}; the worst is {worst[0]}",
     )
 
 
@@ -264,7 +288,7 @@ def measure(run: Run) -> Iterator[Found]:
     yield from _accepted(run, seed)
     yield from _mixed(run, seed)
     yield from _noise(run, seed)
-    yield from _broken(run, seed)
+    yield from judged_cases(run, seed)
 
 
 GROUP = Group("fringes_truth", "figures where boards and frames are not what was told", warm_up, measure)
