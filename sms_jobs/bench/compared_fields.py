@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,11 @@ class Compared:
         independent = max(np.count_nonzero(known) / self.subset_px**2, 1.0)
         stated = float(np.sqrt(np.mean(self.sigma[known] ** 2) / independent))
         return Mean(float(self.measured[known].mean()), float(self.exact[known].mean()), stated)
+
+
+def reported_over_observed(normalised: Sequence[Floats]) -> float:
+    """Return what errors are said to be over what they are, from errors in units of sigma."""
+    return float(1.0 / np.sqrt(np.mean(np.concatenate([one.ravel() for one in normalised]) ** 2)))
 
 
 def along(covariance: NDArray[np.floating], direction: Floats) -> Floats:

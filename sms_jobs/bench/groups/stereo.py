@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sms_jobs.bench.compared_fields import reported_over_observed
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
 from sms_jobs.bench.peers import PEERS, peers_folder
 from sms_jobs.bench.two_cameras.errors import (
@@ -15,7 +16,6 @@ from sms_jobs.bench.two_cameras.errors import (
     OUTLIER_SIGMAS,
     PointErrors,
     displacement_errors,
-    reported_over_observed,
     shape_errors,
 )
 from sms_jobs.bench.two_cameras.peers import (

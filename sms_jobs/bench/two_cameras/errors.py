@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,11 +57,6 @@ class PointErrors:
     def normalised(self) -> Floats:
         """(n,), errors in units of what is said of them, of the points that there are."""
         return (self.length_mm / self.sigma_mm)[np.isfinite(self.length_mm)]
-
-
-def reported_over_observed(normalised: Sequence[Floats]) -> float:
-    """Return what errors are said to be over what they are, from errors in units of sigma."""
-    return float(1.0 / np.sqrt(np.mean(np.concatenate([one.ravel() for one in normalised]) ** 2)))
 
 
 def shape_errors(surface: Surface, exact: Shape, partner: Sensor) -> PointErrors:

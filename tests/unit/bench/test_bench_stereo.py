@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sms_jobs.bench.compared_fields import reported_over_observed
 from sms_jobs.bench.two_cameras.errors import (
     PointErrors,
     displacement_errors,
-    reported_over_observed,
     shape_errors,
 )
 from sms_jobs.bench.two_cameras.rigid_plates import (
