@@ -52,7 +52,7 @@ from sms_jobs.kinds.products import (
 )
 from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
-from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
+from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
 from sms_jobs.kinds.shape.trusted_points import (
     LARGEST_SHIFT_PX,
@@ -118,10 +118,9 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         maximum_shift_px=parameters.maximum_shift_px,
         threads=inputs.threads,
     )
-    mark(reason, beside, Reason.OUTSIDE_REGION)
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma, part=part)
-    mark_points(points, geometry, parameters, reason)
+    mark_points(points, geometry, parameters, reason, beside)
     surface = as_surface(str(inputs.view), points, reason)
     statistics = _statistics(points, phase, reason, blur)
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
@@ -196,7 +195,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=13,
+    version=14,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -9,7 +9,7 @@ import numpy as np
 from sms_jobs.kinds.kind import Inputs, Port, Progress
 from sms_jobs.kinds.products import CALIBRATED
 from sms_jobs.kinds.shape.direction_check import check_directions
-from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, mark
+from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
 from sms_jobs.kinds.shape.trusted_points import (
     LARGEST_SHIFT_PX,
@@ -73,7 +73,6 @@ def sparse_surface(
         maximum_shift_px=LARGEST_SHIFT_PX,
         threads=threads,
     )
-    mark(reason, beside, Reason.OUTSIDE_REGION)
     chosen = slice(first_px(step), None, step)
     thinned = replace(geometry, pair=sensor_pair(thinned_sensor(camera, step), projector, sequence, threads))
     reason = np.ascontiguousarray(reason[chosen, chosen])
@@ -82,7 +81,7 @@ def sparse_surface(
         np.ascontiguousarray(phase.omega_sigma[:, chosen, chosen]),
         part=np.ascontiguousarray(part[:, chosen, chosen]),
     )
-    mark_points(points, thinned, _PARAMETERS, reason)
+    mark_points(points, thinned, _PARAMETERS, reason, np.ascontiguousarray(beside[chosen, chosen]))
     return as_surface(str(inputs.view), points, reason)
 
 

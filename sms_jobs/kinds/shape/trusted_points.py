@@ -8,11 +8,13 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
-from sms_jobs.metrology.arrays import Reasons
+from sms_jobs.metrology.arrays import Mask, Reasons
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
+from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
+from sms_jobs.metrology.images.segmentation import find_discontinuities, pixel_footprint
 from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
@@ -66,12 +68,14 @@ def gap_sigma_px(inputs: Inputs, port: Port, parameters: PhaseParameters, calibr
 
 
 def mark_points(
-    points: Triangulation, geometry: Geometry, parameters: PhaseParameters, reason: Reasons
+    points: Triangulation, geometry: Geometry, parameters: PhaseParameters, reason: Reasons, beside: Mask
 ) -> None:
     """Mark the pixels whose point cannot be trusted.
 
-    One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume.
+    One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume. One
+    whose light comes from `beside` it sees past an edge, or is the rim of a dark speckle: that is no edge.
     """
+    mark(reason, beside, Reason.OUTSIDE_REGION)
     pair, volume = geometry.pair, geometry.volume
     outside = outside_box(points.xyz, volume.low, volume.high)
     nowhere = ~np.isfinite(points.covariance).all(axis=0) & (reason & Reason.SATURATED == 0)
@@ -84,12 +88,27 @@ def mark_points(
     )
     mark(reason, apart, Reason.LARGE_RAY_GAP)
     known = reason == Reason.VALID
-    mark(reason, at_edge(known, _SMALLEST_GAP), Reason.OUTSIDE_REGION)
+    within = _on_one_surface(points, pair, known, beside)
+    mark(reason, at_edge(known, _SMALLEST_GAP, within), Reason.OUTSIDE_REGION)
     asked = reason == Reason.VALID
     mixed = between_surfaces(
         points.xyz, points.covariance, known, asked, pair.intrinsics, pair.pose, pair.threads
     )
     mark(reason, mixed, Reason.BETWEEN_SURFACES)
+
+
+def _on_one_surface(points: Triangulation, pair: SensorPair, known: Mask, beside: Mask) -> Mask:
+    """Return those pixels whose light comes from beside where the surface goes on: rims of dark speckles."""
+    if not beside.any():
+        return beside
+    apart = find_discontinuities(
+        points.xyz,
+        known | (beside & np.isfinite(points.xyz).all(axis=0)),
+        np.sqrt(points.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
+        pixel_footprint(points.xyz, pair.intrinsics, pair.pose),
+        threads=pair.threads,
+    )
+    return np.asarray(beside & ~apart)
 
 
 def as_surface(view: str, points: Triangulation, reason: Reasons) -> Surface:

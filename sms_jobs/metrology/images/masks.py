@@ -42,18 +42,26 @@ def large_ray_gap(
     return np.asarray(np.abs(ray_gap) > sigmas * np.hypot(ray_gap_sigma, calibration_sigma))
 
 
-def at_edge(valid: Mask, smallest_gap: int) -> Mask:
+def at_edge(valid: Mask, smallest_gap: int, within: Mask | None = None) -> Mask:
     """Return the valid pixels (rows, columns) that touch a gap in what is measured, or lie diagonally by it.
 
     The outermost pixels of a surface share their light with what lies beside it, a shadow or another
-    surface, and may show either. A gap of fewer than `smallest_gap` connected pixels is not an edge: noise
-    alone makes single pixels fail.
+    surface, and may show either.
+
+    Parameters
+    ----------
+    smallest_gap
+        A gap of fewer connected pixels is not an edge: noise alone makes single pixels fail.
+    within
+        (rows, columns): pixels of which a gap alone is not an edge either, such as rims of dark speckles.
     """
     import cv2
 
-    _, labels, statistics, _ = cv2.connectedComponentsWithStats((~valid).astype(np.uint8), connectivity=8)
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats((~valid).astype(np.uint8), connectivity=8)
     is_gap = statistics[:, cv2.CC_STAT_AREA] >= smallest_gap
     is_gap[0] = False  # the valid pixels themselves
+    if within is not None:
+        is_gap &= np.bincount(labels[~valid & ~within], minlength=count) > 0
     return np.asarray(valid & widened(is_gap[labels], 3))
 
 

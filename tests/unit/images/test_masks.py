@@ -77,6 +77,17 @@ def test_pixels_beside_a_gap_are_at_the_edge_but_noise_is_no_gap() -> None:
     assert (inner & at_edge(valid, 1)).sum() == 8
 
 
+def test_a_gap_of_pixels_that_lie_within_a_surface_alone_is_no_edge() -> None:
+    valid = np.ones((20, 30), bool)
+    ring, shadow = np.s_[4:8, 4:8], np.s_[10:14, 15:20]
+    valid[ring], valid[shadow] = False, False
+    within = np.zeros_like(valid)
+    within[ring], within[10, 15] = True, True  # a part of the shadow alone
+    found = at_edge(valid, 4, within)
+    assert not found[:9].any()
+    np.testing.assert_array_equal(found[9:15, 14:21], valid[9:15, 14:21])
+
+
 def test_an_image_without_a_gap_has_no_edge_and_one_without_a_surface_neither() -> None:
     assert not at_edge(np.ones((5, 5), bool), 4).any()
     assert not at_edge(np.zeros((5, 5), bool), 4).any()
