@@ -35,9 +35,8 @@ class Row:
 
     @property
     def picture(self) -> Cell | None:
-        """The newest of these whose file has a small picture; None where there is none."""
-        shown = [cell for cell in self.cells if cell is not None and cell.pictured]
-        return max(shown, key=lambda cell: cell.file or 0, default=None)
+        """The last of these, along the chain of kinds, whose file has a small picture; None without one."""
+        return next((cell for cell in reversed(self.cells) if cell is not None and cell.pictured), None)
 
 
 @dataclass(frozen=True)
