@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import timedelta
+from html import unescape
 from pathlib import Path
 
+import httpx2
 import numpy as np
 import pytest
 from support.browser import Browser, browser_or_skip
@@ -14,6 +16,7 @@ from support.serving import serving
 
 from sms_jobs import bootstrap
 from sms_jobs.app.calibrating import calibration_drift
+from sms_jobs.app.calibrating.calibrations import list_calibrations
 from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.transforms import compose, rotation_matrix
@@ -75,6 +78,22 @@ def test_drift_is_what_points_move_against_each_other(
     assert moved[4, "C1P1"] == pytest.approx(2.0 * moved[3, "C1P1"], rel=0.01)
     assert moved[3, "C1P2"] < moved[3, "C1P1"]
     assert all(one.expected_mm is None for one in found.moved)  # exact parameters, of no known covariance
+
+
+def test_one_that_cannot_be_read_is_told_and_the_others_are_compared(
+    home: Path, calibrations: tuple[Calibration, ...]
+) -> None:
+    with bootstrap.services(home) as services:
+        (path,) = (one.path for one in list_calibrations(services) if one.id == 3)
+        (home / "archive" / path).unlink()
+        found = calibration_drift.drift(services, calibrations[0].rig.name)
+    assert {one.calibration for one in found.moved} == {2, 4}
+    (why,) = found.unread
+    assert path in why
+    with serving(home) as site:
+        page = httpx2.get(f"{site}/calibrations")
+    assert page.status_code == 200
+    assert f"Not compared: {why}" in unescape(page.text)
 
 
 def test_it_is_drawn_over_time(home: Path, calibrations: tuple[Calibration, ...], tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from math import isfinite
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.records.people import Right
 
@@ -58,12 +58,15 @@ class Drift:
         That which the others are compared with; None where there is none.
     moved
         Of each later one and each view, in the order of time; those of other sensors are left out.
+    unread
+        Why calibrations could not be compared, a sentence each.
     """
 
     rig: str
     first: int | None
     valid_from: datetime | None
     moved: tuple[Moved, ...]
+    unread: tuple[str, ...] = ()
 
 
 @use_case(Right.READ)
@@ -75,12 +78,15 @@ def drift(services: Services, rig: str) -> Drift:
         found = search.list_calibrations(session, rig)[:_MOST][::-1]
     if not found:
         return Drift(rig, None, None, ())
-    first, moved = found[0], []
+    first, moved, unread = found[0], [], {}
     for one in found[1:]:
         try:
             changed, _ = calibrations.compare(services.catalogue, services.archive, first.id, one.id, None)
         except InvalidInput:
             continue  # of other sensors: there is nothing to compare
+        except (ArchiveCorrupt, NotFound, OtherFormat) as error:
+            unread[str(error)] = True
+            continue
         for pair in changed.pairs:
             expected = pair.expected_aligned_rms_mm
             moved.append(
@@ -93,7 +99,7 @@ def drift(services: Services, rig: str) -> Drift:
                     changed.verdict,
                 )
             )
-    return Drift(rig, first.id, first.valid_from, tuple(moved))
+    return Drift(rig, first.id, first.valid_from, tuple(moved), tuple(unread))
 
 
 def drift_chart(found: Drift) -> str:
