@@ -215,8 +215,7 @@ def _observation(
     search: SphereSearch,
     blur_px: float,
 ) -> BarObservation:
-    usable = np.asarray(np.isfinite(maps.phase.omega).all(axis=0))
-    slope = log_gradient(maps.phase.modulation.mean(axis=0), usable)
+    slope = log_gradient(maps.phase.modulation.mean(axis=0))
     shifts = [np.empty((0, 2))]
     numbers, pixels = [np.empty(0, np.int32)], [np.empty((0, 2), np.int32)]
     centre, centre_sigma = np.full((2, 3), np.nan), np.full((2, 3), np.nan)
@@ -278,7 +277,7 @@ def _statistics(observation: BarObservation, search: SphereSearch) -> dict[str, 
 KIND = Kind(
     name=OBSERVE_BAR,
     summary="find the spheres of a ball bar and points on them",
-    version=6,
+    version=5,
     scope=Scope.TUPLE,
     parameters=ObserveBarParameters,
     inputs=(_FRAMES, START, START_OF_BOARDS, *_SPECIAL),

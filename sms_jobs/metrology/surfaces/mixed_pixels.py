@@ -22,7 +22,7 @@ from sms_jobs.metrology.geometry.lens import Intrinsics
 Pixel: TypeAlias = tuple[int, int]
 Limits: TypeAlias = tuple[float, float]
 
-_NEAR = 2.4  # standard deviations off a plane, both uncertainties together
+_NEAR = 2.5  # standard deviations off a plane, both uncertainties together
 _BEND = 0.3  # footprints off a plane that a bent surface may be: a radius of 15 footprints, 3 px away
 _ROUGH = 3.0  # chi-square over its degrees of freedom, 6: seldom more of a plane, often of an edge
 _LEAST = 6  # of the nine pixels that tell a plane
