@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from support.calibration_sessions import SessionInMemory, observed_session, point_errors, recorded_session
 from support.sessions import on_site_session, small_session
 
-from sms_jobs.errors import OtherFormat
 from sms_jobs.jobs.archiving.calibrations import KnownCalibration, compared, drift_of
 from sms_jobs.kinds.calibration.session_adjustment import board_views, known_as, start_from_last
 from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BOARD
@@ -97,10 +96,6 @@ def test_a_session_on_site_keeps_the_pitch_that_was_found() -> None:
     start = start_from_last(first["calibration"], first["uncertainty"], quality, seen)
     assert start.pitch == {"board": (scale.value, scale.sigma)}
     assert start_from_last(first["calibration"], None, None, seen).pitch == {}
-    # What an older version has sealed tells it in a sentence, which is for people.
-    older = replace(quality, estimates=None)
-    with pytest.raises(OtherFormat, match=r"the pitch scale of board only in words.*: calibrate its session"):
-        start_from_last(first["calibration"], first["uncertainty"], older, seen)
 
 
 def test_each_coordinate_of_a_projector_has_its_own_noise() -> None:
