@@ -142,7 +142,7 @@ def test_black_speckles_on_white_are_measured() -> None:
     # while these rims were taken for edges of the surface.
     assert (cloud.reason == Reason.VALID)[inside].mean() > 0.7
     z = error_in_sigmas(cloud, painted.shape)
-    # Of such contrast more is stated than there is: what the correction leaves is told by the roughest pixels.
+    # More is stated than there is: what the correction leaves is told by the roughest pixels.
     assert np.sqrt(np.mean(z**2)) < 1.1
     assert output.statistics["blur_px"] == pytest.approx(np.sqrt(0.25 + 1.0 / 12.0), abs=0.03)
 
