@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Protocol
 
 from sqlalchemy.orm import Session
 
@@ -17,74 +17,11 @@ from sms_jobs.jobs.recording.reached_levels import DueLevels
 from sms_jobs.records.triggers import Holding, Watched
 
 
-class Awaited(Protocol):
+class Awaited(ABC):
     """Something that is there once a channel of a rig has read certain values."""
 
-    @property
-    def campaign(self) -> str:
-        """Of whose plan it is."""
-        ...
-
-    @property
-    def rig(self) -> str:
-        """Whose channel is read."""
-        ...
-
-    @property
-    def channel(self) -> str:
-        """Which channel that is."""
-        ...
-
-    @property
-    def about(self) -> str:
-        """What begins then, for the log."""
-        ...
-
-    @property
-    def known_note(self) -> str | None:
-        """What is known to keep the channel from being watched."""
-        ...
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        """By which it is known: with another one, what was read so far does not count."""
-        ...
-
-    def detector(self) -> Detector:
-        """Return what says of readings that it is there."""
-        ...
-
-    def rehearse(self, services: Services, now: datetime) -> None:
-        """Raise what would keep it from beginning."""
-        ...
-
-    def begin(self, services: Services, seen: float | None, now: datetime, holder: str) -> str | None:
-        """Begin, and return what is to be told of that; None where it is not to begin any more.
-
-        Parameters
-        ----------
-        seen
-            What the channel read just now, in its unit.
-        holder
-            That holds the rig and gives it back.
-        """
-        ...
-
-    def note(self, session: Session, words: str) -> None:
-        """Note what keeps it from being watched, or from beginning."""
-        ...
-
-    def note_reading(self, session: Session, seen: float | None, now: datetime) -> None:
-        """Note what the channel read, and that nothing keeps it from that."""
-        ...
-
-
-@dataclass(frozen=True)
-class AwaitedRecording:
-    """A planned recording that waits for a channel."""
-
-    due: Due
-    trigger: Watched
+    due: Due | DueLevels
+    """What is planned."""
 
     @property
     def campaign(self) -> str:
@@ -97,6 +34,62 @@ class AwaitedRecording:
         return self.due.rig
 
     @property
+    def known_note(self) -> str | None:
+        """What is known to keep the channel from being watched."""
+        return self.due.note
+
+    @property
+    @abstractmethod
+    def channel(self) -> str:
+        """Which channel is read."""
+
+    @property
+    @abstractmethod
+    def about(self) -> str:
+        """What begins then, for the log."""
+
+    @property
+    @abstractmethod
+    def key(self) -> tuple[object, ...]:
+        """By which it is known: with another one, what was read so far does not count."""
+
+    @abstractmethod
+    def detector(self) -> Detector:
+        """Return what says of readings that it is there."""
+
+    @abstractmethod
+    def rehearse(self, services: Services, now: datetime) -> None:
+        """Raise what would keep it from beginning."""
+
+    @abstractmethod
+    def begin(self, services: Services, seen: float | None, now: datetime, holder: str) -> str | None:
+        """Begin, and return what is to be told of that; None where it is not to begin any more.
+
+        Parameters
+        ----------
+        seen
+            What the channel read just now, in its unit.
+        holder
+            That holds the rig and gives it back.
+        """
+
+    @abstractmethod
+    def note(self, session: Session, words: str) -> None:
+        """Note what keeps it from being watched, or from beginning."""
+
+    @abstractmethod
+    def note_reading(self, session: Session, seen: float | None, now: datetime) -> None:
+        """Note what the channel read, and that nothing keeps it from that."""
+
+
+@dataclass(frozen=True)
+class AwaitedRecording(Awaited):
+    """A planned recording that waits for a channel."""
+
+    due: Due
+    trigger: Watched
+
+    @property
     def channel(self) -> str:
         """Which channel that is."""
         return self.trigger.channel
@@ -105,11 +98,6 @@ class AwaitedRecording:
     def about(self) -> str:
         """The state that is recorded."""
         return f"{self.due.campaign}/{self.due.label}"
-
-    @property
-    def known_note(self) -> str | None:
-        """What is known to keep the channel from being watched."""
-        return self.due.note
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -142,20 +130,10 @@ class AwaitedRecording:
 
 
 @dataclass(frozen=True)
-class AwaitedLevel:
+class AwaitedLevel(Awaited):
     """The next level of a stepped test, whichever it is."""
 
     due: DueLevels
-
-    @property
-    def campaign(self) -> str:
-        """Of whose plan it is."""
-        return self.due.campaign
-
-    @property
-    def rig(self) -> str:
-        """Whose channel is read."""
-        return self.due.rig
 
     @property
     def channel(self) -> str:
@@ -166,11 +144,6 @@ class AwaitedLevel:
     def about(self) -> str:
         """The campaign: its next state is none yet."""
         return self.due.campaign
-
-    @property
-    def known_note(self) -> str | None:
-        """What is known to keep the channel from being watched."""
-        return self.due.note
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -182,7 +182,7 @@ def _levels(services: Services, rig: str, when: AtLevels, states: Sequence[str])
             "or `each`"
         )
     unit = services.stations.unit(rig, when.channel)
-    step, tolerance = when.each.in_unit(unit, "each"), _tolerance(when.tolerance, unit)
+    step, tolerance = when.each.in_unit(unit, "`each`"), _tolerance(when.tolerance, unit)
     if step <= 0.0:
         raise InvalidInput(f"`each` is '{when.each.text}', and loads are apart by more than 0: give more")
     if step <= 2.0 * tolerance:
@@ -229,7 +229,7 @@ def _holding(state: LoadState, when: AtLoad, unit: str) -> Holding:
 
 
 def _tolerance(given: Typed, unit: str) -> float:
-    tolerance = given.in_unit(unit, "tolerance")
+    tolerance = given.in_unit(unit, "`tolerance`")
     if tolerance <= 0.0:
         raise InvalidInput(
             f"`tolerance` is '{given.text}', and no reading is ever that near: give one above 0"
