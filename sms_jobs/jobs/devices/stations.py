@@ -67,7 +67,7 @@ class Stations:
         if not path.is_file():
             connected = ", ".join(self.names()) or "none"
             raise NotFound(
-                f"no rig '{name}' is connected to this host (connected: {connected}); 'sms rig add' connects one"
+                f"no rig '{name}' is connected to this host (there: {connected}); 'sms rig add' connects one"
             )
         return _read(path)
 
