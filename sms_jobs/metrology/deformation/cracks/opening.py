@@ -19,6 +19,7 @@ _REACH = 3.0  # subset radii of surface on either side that the displacement is 
 _LEAST_PART = 0.15  # of that disc that a side must have
 _OF_BENDING = 1 / 3  # a plane's error over the second difference: 1 / 4 of a parabola, more at a tip
 _BY_CHANCE = 2.0  # standard deviations of a second difference that say nothing
+_LEAST_FREEDOM = 0.5  # degrees that tell by how much a line strays
 _BLENDED = 1.39  # variance of blended matches over that of one subset's
 
 
@@ -138,21 +139,26 @@ class _Line:
     def through(cls, place: Floats, radius: int, spacing: int) -> _Line:
         """Return points that are `spacing` apart on a line through scattered ones (n, 2) in their order.
 
-        A straight line is fitted about each, over three subset radii to either side; what lies within one
-        radius goes astray together.
+        A straight line is fitted about each, over three subset radii to either side. What lies within one
+        subset goes astray together, so that these are some three independent places, of which the fit itself
+        takes two. By how much they stray is taken to be what is usual of the line, or more where it bends.
         """
         way = way_along(place)
         rough, smooth = evened(place, way, 1.0), evened(place, way, 0.5 * radius)
-        normals, errors = [], []
         chosen = np.arange(min(spacing // 2, len(rough) - 1), len(rough), spacing)
+        normals, extents, lengths = [], [], []
         for k in chosen:
             near = rough[max(k - 3 * radius, 0) : k + 3 * radius + 1]
-            near = near - near.mean(axis=0)
-            _, extent, axes = np.linalg.svd(near, full_matrices=False)
+            _, extent, axes = np.linalg.svd(near - near.mean(axis=0), full_matrices=False)
             along = axes[0] * (np.sign(axes[0] @ (near[-1] - near[0])) or 1.0)
             normals.append((-along[1], along[0]))
-            errors.append(extent[1] / extent[0] * np.sqrt(radius / len(near)))
-        return cls(smooth[chosen], np.array(normals), np.array(errors))
+            extents.append(extent**2)
+            lengths.append(len(near))
+        independent = np.array(lengths) / (2.0 * radius + 1.0)
+        along, across = (np.array(extents) / np.array(lengths)[:, None]).T
+        stray = across * independent / np.maximum(independent - 2.0, _LEAST_FREEDOM)
+        stray = np.maximum(stray, np.median(stray))
+        return cls(smooth[chosen], np.array(normals), np.sqrt(stray / (along * independent)))
 
     def backwards(self) -> _Line:
         """Return it the other way round."""
