@@ -6,6 +6,7 @@ light and its shadow are exact. Noise is normal and is rounded with the level to
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import cos, pi, radians, sin
 
@@ -16,7 +17,7 @@ from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import Pose, project, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.metrology.phase.patterns import phase_gradient
+from sms_jobs.metrology.phase.patterns import phase_gradient, stripe_brightness
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
@@ -187,6 +188,25 @@ def _pixels(fine: Floats, blur_px: float) -> Floats:
     return np.asarray(fine.reshape(rows // RAYS, RAYS, columns // RAYS, RAYS).mean(axis=(1, 3)))
 
 
+def _doubled(
+    sequence: FringeSequence, xy: Floats, projector: Sensor, shown: Floats, blur_px: float
+) -> Iterator[Floats]:
+    """Yield twice the projector's light in each frame, (rows, columns), of rays that are lit at `xy`."""
+    mean = _pixels(shown, blur_px)
+    found: tuple[tuple[float, float], Floats, Floats] | None = None
+    for orientation, density, step in sequence.patterns():
+        if found is None or found[0] != (orientation, density):
+            phase = density * phase_gradient(xy, projector.columns, projector.rows, orientation)
+            cosine, sine = (_pixels(shown * f(phase), blur_px) for f in (np.cos, np.sin))
+            found = ((orientation, density), cosine, sine)
+        turn = 2.0 * pi * step / sequence.steps
+        yield mean + cos(turn) * found[1] - sin(turn) * found[2]
+    for one in sequence.code_patterns():
+        omega = phase_gradient(xy, projector.columns, projector.rows, one.orientation_rad)
+        bright = stripe_brightness(omega, one.bits, one.stripes, one.bit, one.inverted)
+        yield 2.0 * _pixels(shown * bright, blur_px)
+
+
 def record(scene: EdgeScene, sequence: FringeSequence) -> Seen:
     """Record a scene with a sequence; the noise that the measurement states is the true one."""
     random = np.random.default_rng(scene.seed)
@@ -215,15 +235,9 @@ def record(scene: EdgeScene, sequence: FringeSequence) -> Seen:
     ambient = 0.03 * _pixels(strength, scene.blur_px)
     mean = _pixels(shown, scene.blur_px)
     full_scale = 2**scene.bits - 1
+    levels = (ambient + 0.5 * light for light in _doubled(sequence, xy, projector, shown, scene.blur_px))
     frames = np.empty((sequence.frames, _ROWS, _COLUMNS), np.uint16)
-    found: tuple[tuple[float, float], Floats, Floats] | None = None
-    for index, (orientation, density, step) in enumerate(sequence.patterns()):
-        if found is None or found[0] != (orientation, density):
-            phase = density * phase_gradient(xy, projector.columns, projector.rows, orientation)
-            cosine, sine = (_pixels(shown * f(phase), scene.blur_px) for f in (np.cos, np.sin))
-            found = ((orientation, density), cosine, sine)
-        turn = 2.0 * pi * step / sequence.steps
-        level = ambient + 0.5 * (mean + cos(turn) * found[1] - sin(turn) * found[2])
+    for index, level in enumerate(levels):
         noisy = 0.85 * level + scene.noise * random.standard_normal(level.shape)
         frames[index] = np.clip(np.rint(full_scale * noisy), 0, full_scale)
     parts = np.stack([_pixels(shown * front, scene.blur_px), _pixels(shown * ~front, scene.blur_px)])

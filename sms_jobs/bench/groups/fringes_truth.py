@@ -36,6 +36,7 @@ from sms_jobs.bench.sessions.board_sessions import (
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.metrology.phase.frame_noise import noise_of_steps
+from sms_jobs.records.gray_code import GrayCode
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
 
@@ -46,6 +47,7 @@ _SILENT_MM, _SILENT_Z = 1.0, 10.0
 _METHODS = (
     (FringeSequence((16, 15, 14, 12, 8)), ReconstructParameters()),
     (FringeSequence(tuple(range(12))), ReconstructParameters(method="fdr", returns=2)),
+    (FringeSequence((16,), 4, (0.0,), gray=GrayCode(5, (32.0,))), ReconstructParameters()),
 )
 _NOISES = (0.3, 0.5, 0.8, 1.3, 2.0, 3.0)  # grey levels of 255
 _TWO_WAYS, _ONE_WAY, _PATTERNS_ALONE = (0, 1, 3, 5), (7, 8), 2  # among the sequences with a code
@@ -209,8 +211,9 @@ def _mixed(run: Run, seed: int) -> Iterator[Found]:
     yield Figure("mixed_pixels_good_lost", lost / good, "1", 0.01, "at most")
     yield Condition(
         "mixed_pixels",
-        f"{count} scenes each by unwrapping of 16, 15, 14, 12, 8 fringes and by ranging of two returns over "
-        "0 to 11: a square plate 3 to 150 mm before a wall at 1 m, edges at any angle, lit and in shadow, "
+        f"{count} scenes each by unwrapping of 16, 15, 14, 12, 8 fringes, by ranging of two returns over 0 "
+        "to 11, and by 16 fringes in one direction beside a Gray code: a square plate 3 to 150 mm before a "
+        "wall at 1 m, edges at any angle, lit and in shadow, "
         "plain or textured, a camera of 0.67 mm a pixel with 8 or 12 bits, rendered with 8 x 8 rays a pixel; "
         f"silent are valid pixels with light of both surfaces or a part in the dark, {valid} in all, that "
         f"are off either surface by over {_SILENT_MM:g} mm and {_SILENT_Z:g} stated deviations; {told} mixed "

@@ -22,7 +22,7 @@ from sms_jobs.metrology.geometry.lens import Intrinsics
 Pixel: TypeAlias = tuple[int, int]
 Limits: TypeAlias = tuple[float, float]
 
-_NEAR = 2.5  # standard deviations off a plane, both uncertainties together
+_NEAR = 2.4  # standard deviations off a plane, both uncertainties together
 _BEND = 0.3  # footprints off a plane that a bent surface may be: a radius of 15 footprints, 3 px away
 _ROUGH = 3.0  # chi-square over its degrees of freedom, 6: seldom more of a plane, often of an edge
 _LEAST = 6  # of the nine pixels that tell a plane
@@ -35,8 +35,8 @@ _HOLDS = 3
 _BESIDE = np.ones((3, 3), np.uint8)
 
 _NOTHING, _HELD, _ALONE, _BETWEEN = range(4)
-"""Of a pixel along an axis: no plane, or those of both sides miss it from one side; one of them holds it;
-those of one side miss it, and the other has none; it lies between those of both sides."""
+"""Of a pixel along an axis: too few planes to tell; one of them holds it; both of one side miss it, and those
+of the other miss it from the same side or are not there; it lies between those of both sides."""
 
 
 @kernel
@@ -93,7 +93,7 @@ def _mark_steps(
     """Set bit a for pixels of a row that may lie on a jump along axis a; on a plane for one in a hundred.
 
     There lines through the pixels 2 and 4 px away on either side are a step apart, or one of them is missing.
-    Each line has a variance of 5, and two that miss a point by 2.5 deviations from either side are 8 apart.
+    Each line has a variance of 5, and two that miss a point by 2.4 deviations from either side are 8 apart.
     """
     columns = stepped.size
     stepped[:] = 15
@@ -151,7 +151,7 @@ def _along(
     row, column = pixel
     r, c = _SPAN * down, _SPAN * abs(right)
     within = r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c
-    return _ALONE if within and before * after == 0 and abs(before + after) == len(_REACH) else _NOTHING
+    return _ALONE if within and max(abs(before), abs(after)) == len(_REACH) else _NOTHING
 
 
 @kernel
@@ -228,13 +228,15 @@ def between_surfaces(
 
     Notes
     -----
-    Planes of 3 x 3 px, 2 and 3 px away in eight directions, hold a point that is off them by 2.5 standard
-    deviations of both and 0.3 footprints of a pixel, or by as much as they differ there: on a bent surface
-    the farther one misses a point by 9/4 of what the nearer one does. A point is mixed where the planes of
-    two opposite directions miss it from either side, whatever others say, because along the edge its
-    neighbours are mixed as it is. It is mixed too where both of one direction miss it, there are none in the
-    opposite one, and no two axes hold it. What has been found is left out of the planes, and its neighbours
-    are judged twice more without allowance for a bend. At a crease planes miss from one side alone.
+    Planes of 3 x 3 px, 2 and 3 px away in eight directions, hold a point that is off them by 2.4 standard
+    deviations of both and 0.3 footprints of a pixel, or by as much as they differ there: on a bent
+    surface the farther one misses a point by 9/4 of what the nearer one does. A point is mixed where the
+    planes of two opposite directions miss it from either side, whatever others say, because along the
+    edge its neighbours are mixed as it is. It is mixed too where both of one direction miss it, those of
+    the opposite one miss it from the same side or are not there, and no two axes hold it: where the phase
+    of a pixel is known to a fringe alone, it may lie before or behind both surfaces. What has been found
+    is left out of the planes, and its neighbours are judged twice more without allowance for a bend. At a
+    crease the planes of its own side hold a point.
 
     In front of a wall, a ball with a radius of 30 footprints is lost where it is steeper than about 60
     degrees, one of 15 where it is steeper than 50: there it falls away as mixed pixels do.

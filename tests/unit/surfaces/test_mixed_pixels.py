@@ -51,6 +51,19 @@ def test_what_lies_between_two_surfaces_is_marked(
     assert found[off == 0.0].mean() < 1e-3
 
 
+@pytest.mark.parametrize("off", [-25.0, 65.0])
+def test_what_lies_before_or_behind_both_surfaces_is_marked(rng: np.random.Generator, off: float) -> None:
+    """A phase known to a fringe alone puts a mixed pixel a fringe off, one by one along the edge."""
+    away = step(0.4)
+    wrong = (np.abs(away) < 0.6) & (np.arange(ROWS)[:, None] % 4 == 0) & (X > 5) & (X < COLUMNS - 6)
+    depth = np.where(wrong, 1000.0 + off, 1000.0 + 40.0 * (away > 0.0))
+    found, _ = judged(depth, 0.1, rng)
+    inner = wrong & (Y > 5) & (Y < ROWS - 6)
+    assert inner.sum() > 12
+    assert found[inner].all()
+    assert (found & ~wrong).sum() <= 1
+
+
 @pytest.mark.parametrize(
     "depth",
     [
