@@ -43,7 +43,7 @@ from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import (
     search_margin_mm,
     sphere_regions,
 )
-from sms_jobs.metrology.phase.texture_error import log_gradient
+from sms_jobs.metrology.phase.texture_error import relative_gradient
 from sms_jobs.metrology.targets.sphere_blur import blur_shift
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import SphereSearch, find_spheres
@@ -215,7 +215,7 @@ def _observation(
     search: SphereSearch,
     blur_px: float,
 ) -> BarObservation:
-    slope = log_gradient(maps.phase.modulation.mean(axis=0))
+    slope = relative_gradient(maps.phase.modulation.mean(axis=0))
     shifts = [np.empty((0, 2))]
     numbers, pixels = [np.empty(0, np.int32)], [np.empty((0, 2), np.int32)]
     centre, centre_sigma = np.full((2, 3), np.nan), np.full((2, 3), np.nan)

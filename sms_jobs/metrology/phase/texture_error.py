@@ -24,6 +24,7 @@ from scipy import ndimage
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.triangulation import Triangulation
+from sms_jobs.metrology.images.masks import at_edge
 
 Floating = NDArray[np.floating]
 
@@ -32,9 +33,13 @@ _PRECISION = 1.0 / 0.25**2  # of UNKNOWN.variance, in 1/px^4
 _TRIM, _TAILS = 4.0, 10.0  # robust standard deviations: of what tells s^2, and of what it leaves
 _STRAIGHT = 1e-6  # part of its largest value below which the roughness does not vary
 _ROUNDS = 6
+_FILLED_FROM = (5, 5)  # px about a pixel that is not lit
+_RINGING_PX = (9, 9)  # about one: what a cubic spline makes of a bend falls to 0.27 a pixel, 0.005 in four
 _BLUR_ROWS = 128  # rows that are enough to estimate the blur from
-_TEXTURE_ROUNDS = 2  # the first takes the slope of omega from phases that the texture still disturbs
+_TEXTURE_ROUNDS = 6  # each takes the slope of omega from phases that the texture disturbs less than before
+_SETTLED = 0.01  # part of s^2 by which it may still change: 0.005 px where light is off by half a pixel
 _OUTERMOST = 5.0  # in focus s^2 is some five times rough_px, and across the border nothing is corrected
+_SMALLEST_GAP = 4  # px; fewer that fail are no edge but noise
 _TEXTURED = 0.02  # 1/px: several times the noise of ln B, a fiftieth of a speckle's edge
 
 
@@ -63,21 +68,68 @@ UNKNOWN = Blur(1.0 / 12.0, 0.25, 0.15)
 """Of a camera whose images do not tell: the pixel's own area, uncertain by a lens's spot of 0.5 px."""
 
 
-def log_gradient(brightness: Floating) -> Floats:
+FindBlur: TypeAlias = Callable[[Floats, Singles], Blur]
+"""Tells the blur from what `texture_shift` returns."""
+
+
+def log_gradient(brightness: Floating, usable: Mask) -> Floats:
     """Return the gradient of ln(brightness) along columns and rows, (2, rows, columns) in 1/px.
 
-    The derivative of the interpolating cubic spline: speckles of a few pixels have too much fine detail
-    for central differences, which would leave twice the error. The outermost pixels, where a spline would
-    have to know what lies beyond, have none across the border.
+    Of the logarithm's spline: that of the brightness itself rings beside a bright place by more than a dark
+    one has. Near what is not `usable` (rows, columns), where darkness has no logarithm, of the brightness all
+    the same. The outermost pixels of the image, where a spline would have to know what lies beyond, have no
+    gradient across the border.
+    """
+    import cv2
+
+    image = np.asarray(brightness, dtype=np.float64)
+    usable = usable & (image > 0.0)
+    rim = at_edge(usable, _SMALLEST_GAP)
+    gradient = _spline_gradient(_logarithm(image, usable & ~rim))
+    near = cv2.dilate(rim.astype(np.uint8), np.ones(_RINGING_PX, np.uint8)).astype(bool)
+    gradient[:, near] = relative_gradient(image)[:, near]
+    return gradient
+
+
+def relative_gradient(brightness: Floating) -> Floats:
+    """Return the gradient of the brightness over the brightness, (2, rows, columns) in 1/px; 0 in darkness.
+
+    As `log_gradient` returns it, but of the spline of the brightness, which needs no logarithm: of smooth
+    bodies before darkness, as spheres are.
     """
     image = np.asarray(brightness, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gradient = _spline_gradient(image) / image
+    return np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _logarithm(image: Floats, known: Mask) -> Floats:
+    """Return ln(image); where it is not known, the mean of what is near, so that little rings."""
+    import cv2
+
+    if not known.any():
+        return np.zeros_like(image)
+    logarithm = np.log(np.where(known, image, 1.0))
+    share, total = (
+        cv2.blur(values, _FILLED_FROM, borderType=cv2.BORDER_REPLICATE)
+        for values in (known.astype(np.float64), logarithm)
+    )
+    near = share > 1e-3  # less than one of 25 is none
+    filled = np.where(near, total / np.where(near, share, 1.0), logarithm[known].mean())
+    return np.where(known, logarithm, filled)
+
+
+def _spline_gradient(image: Floats) -> Floats:
+    """Return the derivatives of the interpolating cubic spline along columns and rows, (2, rows, columns).
+
+    Speckles of a few pixels have too much fine detail for central differences, which would leave twice the
+    error.
+    """
     gradient = np.empty((2, *image.shape))
     for component, axis in enumerate((1, 0)):
         spline = ndimage.spline_filter1d(image, 3, axis=axis, mode="mirror")
         gradient[component] = ndimage.correlate1d(spline, [-0.5, 0.0, 0.5], axis=axis, mode="mirror")
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gradient /= image
-    return np.nan_to_num(gradient, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return gradient
 
 
 def roughness(brightness: Floating) -> Floats:
@@ -276,20 +328,25 @@ def correct_texture(
     Returns
     -------
     The blur; the usable pixels whose light comes from farther off: they see past the edge of a surface or a
-    shadow; and (orientations, rows, columns) which part of the square of sigma is what may be left. That has
-    no mean over a blob of texture, whose sides hide as much of either sign.
+    shadow, or are the rim of a dark speckle; and (orientations, rows, columns) which part of the square of
+    sigma is what may be left. That has no mean over a blob of texture, whose sides hide as much of either
+    sign.
     """
     brightness = modulation.mean(axis=0)
-    gradient, rough = log_gradient(brightness), roughness(brightness)
-    telling = textured_interior(usable, gradient)
-    corrected = omega
+    gradient, rough = log_gradient(brightness, usable), roughness(brightness)
+    if blur_px is not None or meet is None or len(omega) == 1:
+        known = UNKNOWN if blur_px is None else Blur(blur_px**2, 0.0, UNKNOWN.rough_px if blur_px else 0.0)
+        find_blur = _certain(known)
+    else:
+        find_blur = _told_by_gaps(omega, omega_sigma, textured_interior(usable, gradient), meet)
+    corrected, variance = omega, np.nan
     for _ in range(_TEXTURE_ROUNDS):
         shift, spread = texture_shift(corrected, usable, gradient, rough, threads)
-        if blur_px is not None:
-            blur = Blur(blur_px**2, 0.0, UNKNOWN.rough_px if blur_px else 0.0)
-        else:
-            blur = _blur_of_gaps(omega, omega_sigma, shift, spread, telling, meet)
+        blur = find_blur(shift, spread)
         corrected = omega - blur.variance * shift
+        if abs(blur.variance - variance) <= _SETTLED * blur.variance:
+            break
+        variance = blur.variance
     beside = usable & (blur.variance * np.hypot(gradient[0], gradient[1]) > maximum_shift_px)
     left = np.hypot((blur.variance_sigma * shift).astype(np.float32), np.float32(blur.rough_px) * spread)
     np.hypot(omega_sigma, left, out=omega_sigma)
@@ -301,20 +358,24 @@ def correct_texture(
     return blur, beside, part
 
 
-def _blur_of_gaps(
-    omega: Floats, omega_sigma: Singles, shift: Floats, spread: Singles, telling: Mask, meet: Meet | None
-) -> Blur:
-    """Return the blur that the ray gaps of some rows tell, or that is unknown of a single orientation."""
-    if meet is None or len(omega) == 1:
-        return UNKNOWN
+def _certain(blur: Blur) -> FindBlur:
+    """Return what finds a blur that the gaps do not tell."""
+    return lambda shift, spread: blur
+
+
+def _told_by_gaps(omega: Floats, omega_sigma: Singles, telling: Mask, meet: Meet) -> FindBlur:
+    """Return what finds the blur by the ray gaps of some rows, which are as they are before all rounds."""
     every = max(len(telling) // _BLUR_ROWS, 1)
-    part, sigma = omega[:, ::every].copy(), omega_sigma[:, ::every].copy()
-    before = meet(part, sigma, every)
-    after = meet(part - shift[:, ::every], spread[:, ::every].copy(), every)
-    seen = telling[::every]
-    return estimate_blur(
-        before.ray_gap[seen],
-        before.ray_gap_sigma[seen],
-        (after.ray_gap - before.ray_gap)[seen],
-        after.ray_gap_sigma[seen],
-    )
+    part, seen = omega[:, ::every].copy(), telling[::every]
+    before = meet(part, omega_sigma[:, ::every].copy(), every)
+
+    def find(shift: Floats, spread: Singles) -> Blur:
+        after = meet(part - shift[:, ::every], spread[:, ::every].copy(), every)
+        return estimate_blur(
+            before.ray_gap[seen],
+            before.ray_gap_sigma[seen],
+            (after.ray_gap - before.ray_gap)[seen],
+            after.ray_gap_sigma[seen],
+        )
+
+    return find

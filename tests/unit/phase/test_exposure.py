@@ -75,7 +75,7 @@ def score(found: PhaseGradient, modulation: NDArray[np.floating]) -> NDArray[np.
     """Return the errors of omega over their standard deviations, rid of the highlight's own slope."""
     _, _, inside, xy = shiny()
     usable = ndimage.binary_dilation(inside) & ~found.saturated
-    gradient, rough = log_gradient(modulation), roughness(modulation)
+    gradient, rough = log_gradient(modulation, usable), roughness(modulation)
     shift = texture_shift(found.omega[None], usable, gradient, rough)[0][0]
     error = found.omega - SPOT**2 * shift - phase_gradient(xy, 256, 192, 0.0)
     return (error / found.omega_sigma)[inside & ~found.saturated]
