@@ -8,10 +8,11 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
-from sms_jobs.metrology.arrays import Mask, Reasons
+from sms_jobs.metrology.arrays import Floats, Mask, Reasons
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
+from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.images.segmentation import find_discontinuities, pixel_footprint
@@ -91,10 +92,23 @@ def mark_points(
     within = _on_one_surface(points, pair, known, beside)
     mark(reason, at_edge(known, _SMALLEST_GAP, within), Reason.OUTSIDE_REGION)
     asked = reason == Reason.VALID
-    mixed = between_surfaces(
+    mixed, off = between_surfaces(
         points.xyz, points.covariance, known, asked, pair.intrinsics, pair.pose, pair.threads
     )
     mark(reason, mixed, Reason.BETWEEN_SURFACES)
+    _add_along_rays(points, pair, off)
+
+
+def _add_along_rays(points: Triangulation, pair: SensorPair, off: Floats) -> None:
+    """Add to the covariance what points may be off along the camera's rays, a depth (rows, columns) in mm."""
+    chosen = off > 0.0
+    ray = points.xyz[:, chosen] - pair.pose.centre()[:, None]
+    ray *= off[chosen] / (pair.pose.matrix()[2] @ ray)
+    before = points.covariance[[0, 3, 5]][:, chosen].sum(axis=0)
+    for index, (one, other) in enumerate(PACKED):
+        points.covariance[index, chosen] += (ray[one] * ray[other]).astype(np.float32)
+    # What cancels between neighbours stays what it is.
+    points.part[chosen] *= before / points.covariance[[0, 3, 5]][:, chosen].sum(axis=0)
 
 
 def _on_one_surface(points: Triangulation, pair: SensorPair, known: Mask, beside: Mask) -> Mask:

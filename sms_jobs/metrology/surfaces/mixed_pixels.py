@@ -198,6 +198,38 @@ def _mixed_rows(
                 mixed[row, column] = _is_mixed(inverse, sigma, pixel, stepped[column], limits, at)
 
 
+@kernel
+def _excess(inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, at: Floats) -> float:
+    """Return the variance that a pixel is off the nearest plane of an axis by beyond what noise explains."""
+    row, column = pixel
+    here, own = inverse[row, column], sigma[row, column]
+    least = np.inf
+    for side in (-1, 1):
+        for reach in _REACH:
+            if _plane(inverse, sigma, row, column, side * reach * down, side * reach * right, at):
+                least = min(least, max((here - at[0]) ** 2 - at[1] - own * own, 0.0))
+    return least if least < np.inf else 0.0
+
+
+@kernel
+def _excess_rows(
+    inverse: Floats, sigma: Floats, asked: Mask, footprint: float, start: int, stop: int, variance: Floats
+) -> None:
+    at, stepped = np.empty(3), np.empty(inverse.shape[1], np.uint8)
+    for row in range(start, stop):
+        if not asked[row].any():
+            continue
+        _mark_steps(inverse, sigma, row, footprint, stepped)
+        for column in range(inverse.shape[1]):
+            if stepped[column] and asked[row, column]:
+                bend = _BEND * footprint * inverse[row, column]
+                at[2] = 0.25 * bend * bend
+                for axis, (down, right) in enumerate(_AXES):
+                    if stepped[column] >> axis & 1:
+                        found = _excess(inverse, sigma, (row, column), down, right, at)
+                        variance[row, column] = max(variance[row, column], found)
+
+
 def between_surfaces(
     xyz: Floats,
     covariance: Singles,
@@ -206,8 +238,8 @@ def between_surfaces(
     intrinsics: Intrinsics,
     pose: Pose,
     threads: int = 1,
-) -> Mask:
-    """Return the pixels whose point lies between two surfaces, beside a jump, and on neither.
+) -> tuple[Mask, Floats]:
+    """Find the pixels whose point lies between two surfaces, beside a jump, and on neither.
 
     Parameters
     ----------
@@ -224,7 +256,8 @@ def between_surfaces(
 
     Returns
     -------
-    (rows, columns).
+    (rows, columns): these pixels; and the depth, in mm, by which others beside a jump are off the nearest
+    plane beyond what noise explains: light of the other surface that is too little to be told.
 
     Notes
     -----
@@ -259,4 +292,10 @@ def between_surfaces(
         mixed |= found
         inverse[found] = np.nan
         left = asked & ~mixed & (cv2.dilate(mixed.astype(np.uint8), _BESIDE) > 0)
-    return mixed
+    variance, stays = np.zeros(asked.shape), asked & ~mixed
+
+    def measure(start: int, stop: int) -> None:
+        _excess_rows(inverse, sigma, stays, footprint, start, stop, variance)
+
+    in_row_blocks(measure, len(asked), threads)
+    return mixed, np.sqrt(variance) * np.nan_to_num(depth) ** 2

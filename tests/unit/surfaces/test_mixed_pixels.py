@@ -28,7 +28,8 @@ def judged(
     covariance = np.zeros((6, ROWS, COLUMNS), np.float32)
     covariance[5] = sigma**2
     known = np.isfinite(depth)
-    return between_surfaces(xyz, covariance, known, known, LENS, POSE, threads), known
+    mixed, _ = between_surfaces(xyz, covariance, known, known, LENS, POSE, threads)
+    return mixed, known
 
 
 def step(angle: float) -> NDArray[np.float64]:
