@@ -7,7 +7,9 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -29,10 +31,26 @@ LINES_IN_A_FUNCTION = 70  # a tall screen, signature and all, but for the docstr
 ARGUMENTS_OF_A_FUNCTION = 10
 USED_BY_PEOPLE = {"sms_jobs/lab/__init__.py"}  # in notebooks, as in docs/python.md
 USED_BY_TESTS = {"controller"}  # tells what a simulated controller was commanded
+CUTS = {"split", "rsplit", "partition", "rpartition", "replace", "count", "startswith", "endswith"}
 KERNELS = {"kernel", "uncounted_kernel", "summing_kernel", "inlined"}
 
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@dataclass(frozen=True)
+class Source:
+    """A module: its text, its tree and all nodes of that."""
+
+    path: Path
+    text: str
+    tree: ast.Module
+    nodes: list[ast.AST]
+
+    @property
+    def name(self) -> str:
+        """Its path in the checkout."""
+        return relative(self.path)
 
 
 def relative(path: Path) -> str:
@@ -51,18 +69,18 @@ def module_name(path: Path) -> str:
     return ".".join(inside[:-1] if inside[-1] == "__init__" else inside)
 
 
-def imported_names(tree: ast.AST) -> Iterator[str]:
+def imported_names(source: Source) -> Iterator[str]:
     """Yield what a module may import: modules, and names of modules, wherever in it that stands."""
-    for node in ast.walk(tree):
+    for node in source.nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def functions(tree: ast.AST) -> Iterator[Function]:
+def functions(source: Source) -> Iterator[Function]:
     """Yield all functions, those of classes and of functions too."""
-    return (node for node in ast.walk(tree) if isinstance(node, Function))
+    return (node for node in source.nodes if isinstance(node, Function))
 
 
 def lines_of(node: Function | ast.stmt) -> int:
@@ -104,9 +122,9 @@ def is_entered(node: ast.stmt) -> bool:
     return not {ast.unparse(one) for one in calls} <= {"dataclass", "use_case"}
 
 
-def uses(tree: ast.AST) -> Iterator[str]:
+def uses(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """Yield the names that are read, attributes, and texts that may be names, as of a table of commands."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield node.id
         elif isinstance(node, ast.Attribute):
@@ -138,25 +156,132 @@ def packages(lock: str) -> dict[str, set[str]]:
     return found
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=relative)
-def test_a_module_fits_in_the_head(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    if "versions" in path.parts:
+def what_is_too_long(source: Source) -> Iterator[str]:
+    if "versions" in source.path.parts:
         return  # a migration lists tables, one after the other
-    assert len(text.splitlines()) <= LINES_IN_A_FILE
-    for function in functions(ast.parse(text)):
+    count = len(source.text.splitlines())
+    if count > LINES_IN_A_FILE:
+        yield f"{source.name} has {count} lines"
+    for function in functions(source):
         lines = lines_of(function)
         if ast.get_docstring(function):
             lines -= lines_of(function.body[0])
-        assert lines <= LINES_IN_A_FUNCTION, f"{function.name} has {lines} lines"
+        if lines > LINES_IN_A_FUNCTION:
+            yield f"{source.name}: {function.name} has {lines} lines"
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=relative)
-def test_what_a_function_takes_fits_in_the_head(path: Path) -> None:
-    for function in functions(ast.parse(path.read_text(encoding="utf-8"))):
-        if not (is_kernel(function) or takes_options(function)):
-            count = len(arguments_of(function))
-            assert count <= ARGUMENTS_OF_A_FUNCTION, f"{function.name} takes {count} arguments"
+def what_takes_too_much(source: Source) -> Iterator[str]:
+    for function in functions(source):
+        count = len(arguments_of(function))
+        if count > ARGUMENTS_OF_A_FUNCTION and not (is_kernel(function) or takes_options(function)):
+            yield f"{source.name}: {function.name} takes {count} arguments"
+
+
+def what_is_left_for_later(source: Source) -> Iterator[str]:
+    for found in re.findall(r"\b(?:TODO|FIXME|XXX|HACK)\b|NotImplementedError", source.text):
+        yield f"{source.name}: {found}"
+
+
+def stores_opened(source: Source) -> Iterator[str]:
+    stores = {store.__name__ for store in Store.__subclasses__()}
+    if any(isinstance(node, ast.Name) and node.id in stores for node in around_the_archive(source)):
+        yield source.name
+
+
+def stores_asked_for(source: Source) -> Iterator[str]:
+    for node in around_the_archive(source):
+        if isinstance(node, ast.Attribute) and node.attr == "store":
+            yield f"{source.name}:{node.lineno}"
+
+
+def around_the_archive(source: Source) -> list[ast.AST]:
+    inside = source.path.parent.name == "archive" or "bench" in source.path.parts
+    return [] if inside else source.nodes
+
+
+def what_seals_or_withdraws(source: Source) -> Iterator[str]:
+    if {"archive", "bench"} & set(source.path.parts):
+        return
+    ways = {"seal_dataset", "seal_document", "discard"}
+    asked = (node for node in source.nodes if isinstance(node, ast.Attribute) and node.attr in ways)
+    if any(name_of(node.value) == "archive" for node in asked):
+        yield source.name
+
+
+def what_takes_subjects_apart(source: Source) -> Iterator[str]:
+    for node in source.nodes:
+        if isinstance(node, ast.Attribute) and node.attr in CUTS and name_of(node.value) == "subject":
+            yield f"{source.name}:{node.lineno}"
+
+
+def what_reads_by_name(source: Source) -> Iterator[str]:
+    if "bench" in source.path.parts:
+        return  # measures the archive with records of its own
+    for node in source.nodes:
+        named = isinstance(node, ast.Call) and node.args and ast.unparse(node.func).endswith(".read")
+        if named and isinstance(node.args[0], ast.Constant) and isinstance(node.args[0].value, str):
+            yield f"{source.name}:{node.lineno}"
+
+
+Rule = Callable[[Source], Iterator[str]]
+RULES: tuple[Rule, ...] = (
+    imported_names,
+    what_is_too_long,
+    what_takes_too_much,
+    what_is_left_for_later,
+    stores_opened,
+    stores_asked_for,
+    what_seals_or_withdraws,
+    what_takes_subjects_apart,
+    what_reads_by_name,
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one reading of every module has found, since reading them takes longer than judging them.
+
+    `found` has what a rule yields for each module; `used` how often each name is used, `classes` those of the
+    program, and `defined` what is to be used: its file, its name, how often it names itself, and bases.
+    """
+
+    found: dict[Rule, dict[Path, list[str]]]
+    used: Counter[str]
+    classes: set[str]
+    defined: list[tuple[str, str, int, set[str]]]
+
+    def all_of(self, rule: Rule) -> list[str]:
+        """Return what a rule yields for all modules."""
+        return [one for each in self.found[rule].values() for one in each]
+
+
+@cache
+def reading() -> Reading:
+    read = Reading({rule: {} for rule in RULES}, Counter(), {"Protocol", "Generic", "ABC"}, [])
+    for path in SOURCES + [one for one in TESTS if "support" in one.parts or one.name == "conftest.py"]:
+        text = path.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        source = Source(path, text, tree, list(ast.walk(tree)))
+        read.used.update(uses(source.nodes))
+        read.classes.update(node.name for node in source.nodes if isinstance(node, ast.ClassDef))
+        if "tests" in path.relative_to(ROOT).parts:
+            continue
+        for rule in RULES:
+            read.found[rule][path] = list(rule(source))
+        if "versions" not in path.parts and source.name not in USED_BY_PEOPLE:
+            for name, node, bases in definitions(tree):
+                if not (name.startswith("__") or name in USED_BY_TESTS or is_entered(node)):
+                    own = sum(one == name for one in uses(ast.walk(node)))
+                    read.defined.append((source.name, name, own, bases))
+    return read
+
+
+def test_a_module_fits_in_the_head() -> None:
+    assert reading().all_of(what_is_too_long) == []
+
+
+def test_what_a_function_takes_fits_in_the_head() -> None:
+    assert reading().all_of(what_takes_too_much) == []
 
 
 def test_no_module_needs_one_that_needs_it() -> None:
@@ -164,7 +289,7 @@ def test_no_module_needs_one_that_needs_it() -> None:
     modules = {module_name(path): path for path in SOURCES}
     graph = {}
     for name, path in modules.items():
-        named = imported_names(ast.parse(path.read_text(encoding="utf-8")))
+        named = reading().found[imported_names][path]
         graph[name] = {one if one in modules else one.rpartition(".")[0] for one in named} & modules.keys()
     TopologicalSorter({name: needed - {name} for name, needed in graph.items()}).prepare()
 
@@ -172,27 +297,14 @@ def test_no_module_needs_one_that_needs_it() -> None:
 def test_nobody_keeps_what_nobody_uses() -> None:
     # Told by names alone: what shares its name with something that is used is not found, and nothing is
     # found that is used.
-    counts: Counter[str] = Counter()
-    classes = {"Protocol", "Generic", "ABC"}
-    defined: list[tuple[str, str, int, set[str]]] = []
-    for path in SOURCES + [one for one in TESTS if "support" in one.parts or one.name == "conftest.py"]:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        counts.update(uses(tree))
-        classes |= {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
-        if path in SOURCES and "versions" not in path.parts and relative(path) not in USED_BY_PEOPLE:
-            for name, node, bases in definitions(tree):
-                if not (name.startswith("__") or name in USED_BY_TESTS or is_entered(node)):
-                    own = sum(one == name for one in uses(node))
-                    defined.append((relative(path), name, own, bases))
+    used, classes = reading().used, reading().classes
     # Other packages call the methods that a class of ours has from them.
-    assert [f"{of}: {n}" for of, n, own, bases in defined if counts[n] <= own and bases <= classes] == []
+    unused = [f"{of}: {n}" for of, n, own, bases in reading().defined if used[n] <= own and bases <= classes]
+    assert unused == []
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=relative)
-def test_nothing_is_left_for_later(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert not re.search(r"\b(TODO|FIXME|XXX|HACK)\b", text)
-    assert "NotImplementedError" not in text
+def test_nothing_is_left_for_later() -> None:
+    assert reading().all_of(what_is_left_for_later) == []
 
 
 def test_nobody_goes_around_the_archive() -> None:
@@ -200,55 +312,23 @@ def test_nobody_goes_around_the_archive() -> None:
     opening = {
         f"sms_jobs/{name}.py" for name in ("bootstrap", "jobs/keeping/backups", "jobs/portable/unpacking")
     }
-    stores = {store.__name__ for store in Store.__subclasses__()}
-    opened, asked = set(), []
-    for path in SOURCES:
-        if path.parent.name == "archive" or "bench" in path.parts:
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Name) and node.id in stores:
-                opened.add(relative(path))
-            if isinstance(node, ast.Attribute) and node.attr == "store":
-                asked.append(f"{relative(path)}:{node.lineno}")
-    assert opened == opening
-    assert asked == []
+    assert set(reading().all_of(stores_opened)) == opening
+    assert reading().all_of(stores_asked_for) == []
 
 
 def test_what_is_sealed_or_withdrawn_passes_the_repository() -> None:
-    ways = {"seal_dataset", "seal_document", "discard"}
-    found = set()
-    for path in (ROOT / "sms_jobs").rglob("*.py"):
-        if {"archive", "bench"} & set(path.parts):
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute) and node.attr in ways and name_of(node.value) == "archive":
-                found.add(relative(path))
-    assert found == {"sms_jobs/jobs/archiving/repository.py"}
+    assert reading().all_of(what_seals_or_withdraws) == ["sms_jobs/jobs/archiving/repository.py"]
 
 
 def test_a_subject_is_taken_apart_in_one_place() -> None:
-    cuts = {"split", "rsplit", "partition", "rpartition", "replace", "count", "startswith", "endswith"}
     in_pages = [path for path in (ROOT / "sms_jobs" / "web").rglob("*") if path.suffix in (".html", ".js")]
-    cut = re.compile(rf"\bsubject\.({'|'.join(sorted(cuts))})\(")
+    cut = re.compile(rf"\bsubject\.({'|'.join(sorted(CUTS))})\(")
     found = [relative(path) for path in in_pages if cut.search(path.read_text(encoding="utf-8"))]
-    for path in SOURCES:
-        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        asked = [node for node in nodes if isinstance(node, ast.Attribute) and node.attr in cuts]
-        lines = [node.lineno for node in asked if name_of(node.value) == "subject"]
-        found += [f"{relative(path)}:{line}" for line in lines]
-    assert found == []
+    assert found + reading().all_of(what_takes_subjects_apart) == []
 
 
 def test_records_are_read_by_their_products() -> None:
-    found = []
-    for path in SOURCES:
-        if "bench" in path.parts:
-            continue  # measures the archive with records of its own
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            named = isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".read") and node.args
-            if named and isinstance(node.args[0], ast.Constant) and isinstance(node.args[0].value, str):
-                found.append(f"{relative(path)}:{node.lineno}")
-    assert found == []
+    assert reading().all_of(what_reads_by_name) == []
 
 
 def test_names_say_what_is_inside() -> None:
@@ -304,13 +384,7 @@ def test_every_imported_package_is_declared() -> None:
     declared = {re.split(r"[\[<>=~! ;]", r)[0].lower().replace("-", "_") for r in requirements}
     # Packages that are imported under another name, or that come with one that is declared.
     declared |= {"cv2", "PIL", "serial", "kombu", "pydantic_core", "click", "pygame", "genicam", "argon2"}
-    imported = set()
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                imported.add((node.module or "").split(".")[0])
+    imported = {one.split(".")[0] for one in reading().all_of(imported_names)}
     assert imported - sys.stdlib_module_names - declared - {"sms_jobs"} == set()
 
 
