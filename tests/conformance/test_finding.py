@@ -271,35 +271,44 @@ def whole_tables(session: Any, dialect: str, sql: str, values: Any) -> set[str]:
     return {m[1] for step in plan if (m := re.search(r"Seq Scan on (\w+)", step))} & LARGE
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("strian", "no kind 'strian'; did you mean 'strain'; there are .*at character 1 "),
-        ("strain where lod_kN > 3", "nothing is called 'lod_kN'; did you mean 'load_n'.*at character 14 "),
-        ("maximum_pricipal_strain > 3", "did you mean 'maximum_principal_strain'"),
-        ("param.guage_length_mm = 30", "did you mean 'param.gauge_length_mm'"),
-        ("chanel.temp_c > 3", "'chanel.' has no meaning; there are statistic., channel., param."),
-        ("median > 3", "'median' may mean median_sigma_mm, median_von_mises_strain; write which"),
-        ("load_kN > heavy", "'load_kN' is a number, and 'heavy' is none, at character 11 "),
-        ("load_kN ~ 3", "'load_kN' has no text"),
-        ("created > 3", "'created' is a time like 2026-05-01"),
-        ("calibration > 1", "compared with =, != or in"),
-        ("calibration = new", "asked for by its number"),
-        ("param.method in (fdr, 3)", "values of different sorts"),
-        ("load > 50", "'load' needs a unit.*or load_N or load_kN or load_MN, at character 1 "),
-        ("load > 50 lb", "'lb' is no unit that is known; there are mm, .*at character 8 "),
-        ("load > 50 mm", "'load' is in N, kN, MN, and '50 mm' is another quantity, at character 8 "),
-        ("load > 50 kn", "'kn' is no unit"),
-        ("valid_fraction < 50 N", "'valid_fraction' has no unit that is known, and '50 N'"),
-        ("view = 5 mm", "'view' has no unit that is known"),
-        ("load in (1 N, 2 kN)", "the values of 'load' have several units"),
-        ("lod > 50 kN", "nothing is called 'lod'; did you mean 'load_n'"),
-    ],
-)
-def test_what_cannot_be_asked_is_pointed_at(catalogue: Catalogue, text: str, words: str) -> None:
+MISTAKEN = [
+    ("strian", "no kind 'strian'; did you mean 'strain'; there are .*at character 1 "),
+    ("strain where lod_kN > 3", "nothing is called 'lod_kN'; did you mean 'load_n'.*at character 14 "),
+    ("maximum_pricipal_strain > 3", "did you mean 'maximum_principal_strain'"),
+    ("param.guage_length_mm = 30", "did you mean 'param.gauge_length_mm'"),
+    ("chanel.temp_c > 3", "'chanel.' has no meaning; there are statistic., channel., param."),
+    ("median > 3", "'median' may mean median_sigma_mm, median_von_mises_strain; write which"),
+    ("load_kN > heavy", "'load_kN' is a number, and 'heavy' is none, at character 11 "),
+    ("load_kN ~ 3", "'load_kN' has no text"),
+    ("created > 3", "'created' is a time like 2026-05-01"),
+    ("calibration > 1", "compared with =, != or in"),
+    ("calibration = new", "asked for by its number"),
+    ("param.method in (fdr, 3)", "values of different sorts"),
+    ("load > 50", "'load' needs a unit.*or load_N or load_kN or load_MN, at character 1 "),
+    ("load > 50 lb", "'lb' is no unit that is known; there are mm, .*at character 8 "),
+    ("load > 50 mm", "'load' is in N, kN, MN, and '50 mm' is another quantity, at character 8 "),
+    ("load > 50 kn", "'kn' is no unit"),
+    ("valid_fraction < 50 N", "'valid_fraction' has no unit that is known, and '50 N'"),
+    ("view = 5 mm", "'view' has no unit that is known"),
+    ("load in (1 N, 2 kN)", "the values of 'load' have several units"),
+    ("lod > 50 kN", "nothing is called 'lod'; did you mean 'load_n'"),
+]
+"""What cannot be asked, and words of the answer."""
+
+
+def test_what_cannot_be_asked_is_pointed_at(catalogue: Catalogue) -> None:
     many_files.fill(catalogue, 64)
-    with pytest.raises(InvalidInput, match=words):
+    said = {text: refusal(catalogue, text) for text, _ in MISTAKEN}
+    assert {text: said[text] for text, words in MISTAKEN if not re.search(words, said[text])} == {}
+
+
+def refusal(catalogue: Catalogue, text: str) -> str:
+    """Return why a question is refused; nothing where it is answered."""
+    try:
         ask(catalogue, text)
+    except InvalidInput as error:
+        return str(error)
+    return ""
 
 
 def test_calibrations_are_a_column(catalogue: Catalogue) -> None:
