@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.homes import initialised
 
 from sms_jobs.cli.commands import COMMANDS
 from sms_jobs.errors import ConfigurationError, InvalidInput
@@ -116,7 +117,7 @@ def test_every_command_refuses_endless_numbers() -> None:
 def test_an_archive_that_is_no_folder(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from sms_jobs import bootstrap
 
-    bootstrap.initialise(home)
+    initialised(home)
     for place in ("/dev/null", str(home / "sms.toml"), str(home / "unmounted")):
         monkeypatch.setenv("SMS_ARCHIVE", place)
         with pytest.raises(ConfigurationError, match="there is no folder"), bootstrap.services(home):
@@ -124,7 +125,7 @@ def test_an_archive_that_is_no_folder(home: Path, monkeypatch: pytest.MonkeyPatc
     assert not (home / "unmounted").exists()
     monkeypatch.setenv("SMS_ARCHIVE", "/dev/null")
     with pytest.raises(ConfigurationError):
-        bootstrap.initialise(home)
+        initialised(home)
 
 
 @pytest.mark.parametrize("name", ["archive", "spool", "environment_file"])
@@ -134,7 +135,7 @@ def test_a_place_that_no_file_system_has(
 ) -> None:
     from sms_jobs import bootstrap
 
-    bootstrap.initialise(home)
+    initialised(home)
     (home / "sms.toml").write_text(f'{name} = "{place}"\n')
     with (
         pytest.raises(ConfigurationError, match=r"255 are possible|cannot be read"),

@@ -18,6 +18,7 @@ import pytest
 from pydantic import SecretStr
 from sqlalchemy import update
 from support.command import SMS, answer, inside
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
@@ -33,7 +34,7 @@ MINE, OTHER = "correct horse battery", "staple of the hall"
 @pytest.fixture
 def made(home: Path) -> Path:
     """A home in which anna is an administrator."""
-    bootstrap.initialise(home)
+    initialised(home)
     assert run(home, "person", "add", "anna", "--role", "administrator", "--no-password") == (0, "")
     return home
 
@@ -54,7 +55,7 @@ def add_me(home: Path, role: str) -> None:
 
 
 def test_the_first_person_is_an_administrator_and_only_then_others_come(home: Path) -> None:
-    bootstrap.initialise(home)
+    initialised(home)
     code, said = run(home, "person", "add", "ben", "--role", "viewer", "--no-password")
     assert (code, "has to be an administrator" in said) == (4, True)
     assert asked(home, "person", "list") == []

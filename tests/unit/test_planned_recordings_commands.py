@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 from support.command import answer, inside
+from support.homes import initialised
 from support.sessions import small_session
 
 from sms_jobs import bootstrap
@@ -36,7 +37,7 @@ PLAN = "the file of a test plan"
 @pytest.fixture
 def services(home: Path, tmp_path: Path) -> Iterator[Services]:
     """A home with a test of four states at 0, 10, 20 and 30 kN, and its rig."""
-    bootstrap.initialise(home)
+    initialised(home)
     (tmp_path / "rig.toml").write_text(RIG)
     calibration, campaign = small_plate("wing")
     states = tuple(LoadState(f"S{n:02d}", 10_000.0 * n) for n in range(4))
@@ -190,7 +191,7 @@ def test_what_is_not_clear_is_refused(services: Services) -> None:
 
 
 def test_what_is_looked_at_and_where_that_stops_the_plan_is_told(home: Path) -> None:
-    bootstrap.initialise(home)
+    initialised(home)
     calibration, campaign = small_plate("wing")
     gauges: Any = {"gauges": {"gauge": "g1 x=0 y=0 length=60; c1 x=9px y=9px length=9px"}}
     with bootstrap.services(home) as found:

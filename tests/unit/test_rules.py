@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import select
+from support.homes import initialised
 from support.people import SOMEBODY
 
 from sms_jobs import app, bootstrap
@@ -44,7 +45,7 @@ def functions() -> Iterator[Callable[..., Any]]:
 
 @pytest.fixture
 def services(tmp_path: Path) -> Iterator[Services]:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     with bootstrap.services(tmp_path / "home") as opened:
         yield opened.acting(SOMEBODY)
 

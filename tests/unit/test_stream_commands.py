@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from support.command import answer, inside
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaigns
@@ -38,7 +39,7 @@ FINDINGS, USAGE, NOT_FOUND = 6, 2, 3
 @pytest.fixture
 def services(home: Path, tmp_path: Path) -> Iterator[Services]:
     """A home with a rig of two cameras, and a campaign of fringes."""
-    bootstrap.initialise(home)
+    initialised(home)
     (tmp_path / "rig.toml").write_text(RIG)
     calibration, campaign = small_plate("fringes")
     with bootstrap.services(home) as found:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.importing import uploads
@@ -21,7 +22,7 @@ from sms_jobs.errors import Conflict, InvalidInput, NotFound
 @pytest.fixture
 def services(home: Path) -> Iterator[Services]:
     """Services of an empty home."""
-    bootstrap.initialise(home)
+    initialised(home)
     with bootstrap.services(home) as opened:
         yield opened
 

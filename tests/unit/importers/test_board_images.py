@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.calibration_sessions import SessionInMemory
+from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -85,7 +86,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     return tmp_path / "home"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from sqlalchemy import text
 from support.archives import Clock, run_jobs, work_again
+from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -68,7 +69,7 @@ def test_a_table_is_read_as_it_is(file: Path) -> None:
 
 def test_points_stand_where_a_job_would_have_put_them(file: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
-    bootstrap.initialise(home)
+    initialised(home)
     options = ["points", str(file), "-c", "june", "--rig", "desk", "--view", "C1P1", *SIZES, "--json"]
     done = CliRunner().invoke(app, [*options, "--home", str(home)])
     assert done.exit_code == 0, done.exception
@@ -123,7 +124,7 @@ def two_cameras(lacking: set[tuple[str, str]]) -> str:
 def test_points_of_two_cameras_calibrate_both(tmp_path: Path) -> None:
     file, home = tmp_path / "points.csv", tmp_path / "home"
     file.write_text(two_cameras({("D", "C2")}), encoding="utf-8")
-    bootstrap.initialise(home)
+    initialised(home)
     sizes = ("--size", "C1=640x480", "--size", "C2=640x480", "--sigma-px", "0.02")
     options = ["points", str(file), "-c", "june", "--rig", "desk", "--view", "C1C2", *sizes, "--json"]
     done = CliRunner().invoke(app, [*options, "--home", str(home)])
@@ -178,7 +179,7 @@ def test_a_table_that_is_wrong_is_refused(file: Path, change: object, complaint:
 def test_options_that_contradict_are_refused(
     file: Path, tmp_path: Path, options: tuple[str, ...], complaint: str
 ) -> None:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     done = CliRunner().invoke(
         app, ["points", str(file), "-c", "june", "--rig", "desk", *options, "--home", str(tmp_path / "home")]
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -21,7 +22,7 @@ from tests.support.foreign_frames import save
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     return tmp_path / "home"
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -34,7 +35,7 @@ DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     return tmp_path / "home"
 
 

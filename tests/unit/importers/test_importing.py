@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sqlalchemy import text
+from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -33,7 +34,7 @@ Import = Callable[..., Any]
 def run(tmp_path: Path) -> Import:
     """Run an import in a home of its own, and return the JSON that it prints."""
     home = tmp_path / "home"
-    bootstrap.initialise(home)
+    initialised(home)
 
     def call(*arguments: str, code: int = 0) -> Any:
         done = CliRunner().invoke(app, [*arguments, "-c", "plate", "--home", str(home), "--json"])

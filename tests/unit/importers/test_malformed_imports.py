@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
@@ -31,7 +32,7 @@ USUAL = ("--densities", "16 1", "--steps", "3", "--rig", "desk")
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("home")
-    bootstrap.initialise(folder)
+    initialised(folder)
     return folder
 
 
@@ -300,7 +301,7 @@ def test_twenty_thousand_files_are_judged_by_their_names(home: Path, tmp_path: P
 
 
 def test_frames_that_the_calibration_does_not_fit_are_told(home: Path, tmp_path: Path) -> None:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     calibration, _ = small_plate("plate")
     save(tmp_path / "frames" / "S00", fringes())
     with bootstrap.services(tmp_path / "home") as services:
@@ -366,7 +367,7 @@ TABLES: dict[str, tuple[str | bytes, tuple[str, ...], str]] = {
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A home with a campaign of one state."""
     folder = tmp_path_factory.mktemp("measured")
-    bootstrap.initialise(folder)
+    initialised(folder)
     save(folder / "frames" / "S00", fringes())
     done = CliRunner().invoke(
         app, ["frames", str(folder / "frames"), "-c", "plate", *USUAL, "--yes", "--home", str(folder)]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy.orm import Session
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -29,7 +30,7 @@ NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
 @pytest.fixture
 def services(tmp_path: Path) -> Iterator[Services]:
-    bootstrap.initialise(tmp_path)
+    initialised(tmp_path)
     with bootstrap.services(tmp_path) as made:
         calibration, campaign = small_plate("plate")
         register_campaign(made.catalogue, made.archive, campaign, calibration, NOW)

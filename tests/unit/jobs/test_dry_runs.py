@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+from support.homes import initialised
 from support.sessions import small_session
 
 from sms_jobs import bootstrap
@@ -45,7 +46,7 @@ SIDE = """
 @pytest.fixture(scope="module")
 def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
     home = tmp_path_factory.mktemp("home")
-    bootstrap.initialise(home)
+    initialised(home)
     with bootstrap.services(home) as made:
         yield made
 

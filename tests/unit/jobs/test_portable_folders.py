@@ -17,10 +17,10 @@ from typing import Any
 import h5py
 import pytest
 from support.archives import Clock, entered, everything, registered, run_jobs
+from support.homes import initialised
 from support.sealing import calibration
 from typer.testing import CliRunner
 
-from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, Checker, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
@@ -56,7 +56,7 @@ def checker() -> Iterator[Checker]:
 
 
 def home(folder: Path, checker: Checker) -> Home:
-    bootstrap.initialise(folder)
+    initialised(folder)
     catalogue = Catalogue(f"sqlite:///{folder / 'catalogue.sqlite'}")
     return Home(folder, catalogue, Archive(FolderStore(folder / "archive")), checker)
 
@@ -397,7 +397,7 @@ def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Pa
     options = ("--kind", "strain", "--link", "--home", str(full.folder))
     told_by("pack", "-c", "plate", "--to", folder, *options)
     told_by("check", folder)
-    bootstrap.initialise(tmp_path / "there")
+    initialised(tmp_path / "there")
     told = CliRunner().invoke(app, ["data", "unpack", folder, *there])
     assert told.exit_code == 0
     assert "came along and is used for plate; 'sms calibration accept 1'" in " ".join(told.stderr.split())

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from support.archives import entered
-from support.homes import WHEN, make_home, stored
+from support.homes import WHEN, initialised, make_home, stored
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -104,7 +104,7 @@ def test_surfaces_are_told_by_files_alone(services: Services, tmp_path: Path) ->
         at = WHEN + timedelta(seconds=seconds)
         register_surface(services.catalogue, services.archive, "plate", reference(scale), at)
     other = tmp_path / "again"
-    bootstrap.initialise(other)
+    initialised(other)
     with bootstrap.services(other) as again:
         entered(again.catalogue, services.archive)
         with again.catalogue.reading() as session:

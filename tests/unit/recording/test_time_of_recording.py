@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import select
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
@@ -31,7 +32,7 @@ projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192, se
 
 @pytest.fixture
 def services(tmp_path: Path) -> Iterator[Services]:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     (tmp_path / "rig.toml").write_text(RIG)
     with bootstrap.services(tmp_path / "home") as made:
         made.stations.add(tmp_path / "rig.toml", replace=False)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.work import queues
@@ -19,7 +20,7 @@ CPU = {"names": ["cpu"], "reason": "lunch"}
 
 @pytest.fixture
 def services(tmp_path: Path) -> Iterator[bootstrap.Services]:
-    bootstrap.initialise(tmp_path / "home")
+    initialised(tmp_path / "home")
     with bootstrap.services(tmp_path / "home", "web") as opened:
         yield opened
 

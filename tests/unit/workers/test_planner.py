@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 from support.command import wait_until
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings
@@ -57,7 +58,7 @@ QUEUE = "rig-bench"
 @pytest.fixture
 def services(home: Path, tmp_path: Path) -> Iterator[Services]:
     """A home with two tests on one rig, at 0, 100 and 200 N."""
-    bootstrap.initialise(home)
+    initialised(home)
     (tmp_path / "rig.toml").write_text(RIG.replace("LOAD", str(tmp_path / "load.csv")))
     states = tuple(LoadState(f"S{n:02d}", 100.0 * n) for n in range(3))
     with bootstrap.services(home) as found:

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 from sqlalchemy import select, update
+from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings
@@ -42,7 +43,7 @@ TURN_S = 2.0
 @pytest.fixture
 def services(home: Path, tmp_path: Path) -> Iterator[Services]:
     """A home with two tests on one rig, each with a state S00."""
-    bootstrap.initialise(home)
+    initialised(home)
     (tmp_path / "rig.toml").write_text(RIG.replace("LOAD", str(tmp_path / "load.csv")))
     with bootstrap.services(home) as found:
         found.stations.add(tmp_path / "rig.toml", replace=False)
