@@ -49,6 +49,8 @@ if [ $# = 0 ]; then
     # While the checks run; left to the tests, several would compile the same at once. Ranging is half of it.
     compile_kernels fdr & ranging=$!
     compile_kernels phase dic displacement strain calibration & others=$!
+    # Each process of pytest collects all tests, at the same time: what is compiled for that, is compiled once.
+    .venv/bin/python -m pytest --collect-only -qq >/dev/null 2>&1 & collecting=$!
     step "ruff check" .venv/bin/ruff check .
     step "ruff format" .venv/bin/ruff format --check .
     step "mypy" .venv/bin/mypy
@@ -64,10 +66,15 @@ export CI="${CI:-true}"
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENCV_FOR_THREADS_NUM=1
 if [ $# = 0 ]; then
     step "kernels" wait $ranging $others
+    wait $collecting || true # what is wrong is told by the tests
     # Two processes more than cores, since tests of the service wait a good part of their time. A file's tests stay
     # in one, since they share what is costly to make. In the order of the folders, so that those of the whole
     # service, which take longest, are not left for the end.
     set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 2))" --dist loadfile --no-loadscope-reorder --durations=25
+    # What other packages bring for tests of their own is not loaded by each process: it takes two seconds.
+    for plugin in anyio platformdirs schemathesis zarr; do
+        set -- "$@" -p "no:$plugin"
+    done
 fi
 step "pytest" .venv/bin/python -m pytest "$@"
 case "$failed" in *pytest*) keep_folders ;; esac

@@ -15,11 +15,8 @@ import h5py
 import httpx2
 import numpy as np
 import pytest
-import zarr
 from support.archives import Clock, registered, run_jobs, work_again
 from support.serving import serving
-from zarr.abc.store import OffsetByteRequest, RangeByteRequest, Store
-from zarr.core.buffer import Buffer, BufferPrototype
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
@@ -233,60 +230,12 @@ def test_a_result_is_exported(web: httpx2.Client) -> None:
     refused(web.get(f"/data/{merged}/export", params={"format": "nonsense"}), 422, "no export format")
 
 
-class OverHttp(Store):
-    """The Zarr group of a file, as any reader of Zarr sees it."""
-
-    supports_writes = supports_deletes = supports_listing = False
-
-    def __init__(self, web: httpx2.Client, file: int, form: str = "zarr") -> None:
-        super().__init__(read_only=True)
-        self._web, self._group = web, f"/data/{file}/{form}"
-        self.received = 0
-
-    def __eq__(self, other: object) -> bool:
-        return self is other
-
-    async def get(self, key: str, prototype: BufferPrototype, byte_range: Any = None) -> Buffer | None:
-        found = self._web.get(f"{self._group}/{key}")
-        if found.status_code == 404:
-            return None
-        content = found.raise_for_status().content
-        self.received += len(content)
-        if isinstance(byte_range, RangeByteRequest):
-            content = content[byte_range.start : byte_range.end]
-        elif isinstance(byte_range, OffsetByteRequest):
-            content = content[byte_range.offset :]
-        return prototype.buffer.from_bytes(content)
-
-    async def get_partial_values(self, prototype: BufferPrototype, key_ranges: Any) -> list[Buffer | None]:
-        return [await self.get(key, prototype, wanted) for key, wanted in key_ranges]
-
-    async def exists(self, key: str) -> bool:
-        return self._web.get(f"{self._group}/{key}").is_success
-
-    async def set(self, key: str, value: Buffer) -> None:
-        raise AssertionError(key)
-
-    async def delete(self, key: str) -> None:
-        raise AssertionError(key)
-
-    async def list(self) -> Any:
-        return
-        yield
-
-    async def list_prefix(self, prefix: str) -> Any:
-        return
-        yield
-
-    async def list_dir(self, prefix: str) -> Any:
-        return
-        yield
-
-
 @pytest.mark.parametrize("query", ["strain", "measurement", "merge", "calibration"])
 def test_zarr_reads_what_the_archive_holds(web: httpx2.Client, home: Path, query: str) -> None:
     file = newest(web, query)
-    group = zarr.open_group(OverHttp(web, file["id"]), mode="r")
+    from support.zarr_over_http import opened_group
+
+    group, _ = opened_group(web, file["id"])
     about = web.get(f"/data/{file['id']}/arrays").json()["records"]
     assert {name for name, _ in group.groups()} == set(about)
     with h5py.File(home / "archive" / file["path"]) as opened:
@@ -301,8 +250,9 @@ def test_zarr_reads_what_the_archive_holds(web: httpx2.Client, home: Path, query
 @pytest.mark.parametrize("query", ["strain", "measurement", "merge"])
 def test_zarr_that_is_packed_has_the_same_values_in_fewer_bytes(web: httpx2.Client, query: str) -> None:
     file = newest(web, query)["id"]
-    plain, packed = OverHttp(web, file), OverHttp(web, file, "zarr-gzip")
-    groups = [zarr.open_group(store, mode="r") for store in (plain, packed)]
+    from support.zarr_over_http import opened_group
+
+    groups, (plain, packed) = zip(opened_group(web, file), opened_group(web, file, "zarr-gzip"), strict=True)
     for record, _ in groups[0].groups():
         for name, array_of in groups[0][record].arrays():
             other = groups[1][f"{record}/{name}"]

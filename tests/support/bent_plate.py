@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,6 +62,7 @@ class SeenPlate:
         return self.xyz - depth * np.exp(-0.5 * square / radius**2) * self.normal
 
 
+@cache
 def seen_plate() -> SeenPlate:
     """Return what the camera sees of the bent plate where it stands."""
     scene = Scene(Rig("rig", (CAMERA, PROJECTOR)), Plane(WIDTH, HEIGHT), placement=PLACEMENT)

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[2]
 MAP = ROOT / "docs" / "equations.md"
 NUMBER = re.compile(r"\((\d+\.\d+)\)")
@@ -62,42 +60,37 @@ def cited(docstring: str) -> set[str]:
     return {number for group in CITATION.findall(joined) for number in NUMBER.findall(group)}
 
 
-CITING = {
-    f"{path.relative_to(ROOT).as_posix()}:{name}": cited(docstring)
-    for path in sorted((ROOT / "sms_jobs" / "metrology").rglob("*.py"))
-    for name, docstring in definitions(path).items()
-    if cited(docstring)
-}
-
-
 def test_the_map_has_rows() -> None:
     assert len(ROWS) > 10
     assert len(set(ROWS)) == len(ROWS)
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.source}-{row.function}")
-def test_every_function_and_test_of_the_map_exists(row: Row) -> None:
-    assert row.equation
-    assert row.source
+def test_every_function_and_test_of_the_map_exists() -> None:
+    assert [row for row in ROWS if not exists(row)] == []
+
+
+def exists(row: Row) -> bool:
+    """Say whether a row is complete, and names a function and a test that there are."""
     path, _, name = row.function.partition(":")
     found = importlib.import_module(path.removesuffix(".py").replace("/", "."))
     for part in name.split("."):
-        found = getattr(found, part)
-    assert callable(found)
+        found = getattr(found, part, None)
     file, _, test = row.test.partition("::")
-    assert test.replace("::", ".") in definitions(ROOT / file), row.test
+    named = test.replace("::", ".") in definitions(ROOT / file)
+    return bool(row.equation and row.source and callable(found) and named)
 
 
-@pytest.mark.parametrize("function", CITING)
-def test_every_cited_equation_is_in_the_map(function: str) -> None:
-    mapped = {
-        number
-        for row in ROWS
-        if row.function == function and "thesis" in row.source
-        for number in NUMBER.findall(row.source)
-    }
-    missing = CITING[function] - mapped
-    assert not missing, f"docs/equations.md has no row for {function} with {', '.join(sorted(missing))}"
+def test_every_cited_equation_is_in_the_map() -> None:
+    missing = {}
+    for path in sorted((ROOT / "sms_jobs" / "metrology").rglob("*.py")):
+        for name, docstring in definitions(path).items():
+            function = f"{path.relative_to(ROOT).as_posix()}:{name}"
+            sources = [row.source for row in ROWS if row.function == function and "thesis" in row.source]
+            mapped = {number for source in sources for number in NUMBER.findall(source)}
+            if cited(docstring) - mapped:
+                missing[function] = sorted(cited(docstring) - mapped)
+    # docs/equations.md has no row for these.
+    assert missing == {}
 
 
 def test_citations_are_found_as_people_write_them() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,7 @@ class Measurement:
     xyz: Floats
 
 
+@cache
 def surface() -> Floats:
     """Return the points (n, 3) of a wavy, tilted surface behind every fourth pixel of the camera."""
     rays = ray_directions(*CAMERA, pixel_grid(ROWS, COLUMNS).reshape(-1, 2) * STEP)
@@ -61,8 +63,10 @@ def surface() -> Floats:
     return np.asarray(centre + along[:, None] * rays)
 
 
-SURFACE = surface()
-BY_CHANGE = pair_changes(CAMERA, PROJECTOR, SURFACE.mean(axis=0))
+@cache
+def by_change() -> Floats:
+    """Return how the parameters of the pair change with what a check tells of them."""
+    return pair_changes(CAMERA, PROJECTOR, surface().mean(axis=0))
 
 
 def measure(
@@ -70,8 +74,8 @@ def measure(
 ) -> Measurement:
     """Measure the surface after the pair has changed, (2 parameters,), with the calibration from before."""
     step = np.zeros(2 * PER_SENSOR) if change is None else change
-    seen = project(*moved_sensor(CAMERA, step[:PER_SENSOR]), SURFACE)
-    lit = project(*moved_sensor(PROJECTOR, step[PER_SENSOR:]), SURFACE)
+    seen = project(*moved_sensor(CAMERA, step[:PER_SENSOR]), surface())
+    lit = project(*moved_sensor(PROJECTOR, step[PER_SENSOR:]), surface())
     noisy = lit + sigma_px * rng.standard_normal(lit.shape)
     xyz, gap = meet_rays(CAMERA, PROJECTOR, seen, noisy)
     slopes = [
@@ -120,7 +124,7 @@ def test_a_calibration_that_holds_is_said_to_hold(rng: np.random.Generator) -> N
 
 def test_a_turn_of_100_microradians_is_found_and_explained(rng: np.random.Generator) -> None:
     # About the projector's x axis, which is nearly along the base: a gap of 1e-4 x 1 m = 0.1 mm everywhere.
-    found = check(measure(rng, BY_CHANGE[:, 0] * 1e-4))
+    found = check(measure(rng, by_change()[:, 0] * 1e-4))
     assert found.verdict == "drifted"
     assert found.motion_statistic > 100.0 * found.motion_threshold
     assert found.rest_statistic < found.rest_threshold
@@ -137,7 +141,7 @@ def test_the_explanation_scatters_as_predicted(rng: np.random.Generator) -> None
     scores = []
     for _ in range(20):
         change = 0.1 * PLAUSIBLE * rng.standard_normal(7)
-        found = check(measure(rng, BY_CHANGE @ change))
+        found = check(measure(rng, by_change() @ change))
         scores += [
             (c.value - v) / c.sigma for c, v in zip(found.changes, change, strict=True) if c.determined
         ]
@@ -165,10 +169,10 @@ def test_what_the_calibration_left_is_no_drift(given: str, rng: np.random.Genera
     # The calibration itself is off by its covariance, a fiftieth of what is plausible of a drift.
     still = measure(rng)
     unit = 0.02 * PLAUSIBLE
-    slow = gap_derivatives(CAMERA, PROJECTOR, SURFACE) @ BY_CHANGE * unit
+    slow = gap_derivatives(CAMERA, PROJECTOR, surface()) @ by_change() * unit
     baseline = float(np.sqrt(np.mean(np.sum(slow**2, axis=1))))
     known = {
-        "covariance": {"covariance": (BY_CHANGE * unit**2) @ BY_CHANGE.T},
+        "covariance": {"covariance": (by_change() * unit**2) @ by_change().T},
         "baseline": {"baseline_rms_mm": baseline},
     }[given]
     alarms, blind = 0, 0
@@ -223,11 +227,11 @@ def test_noise_may_be_taken_from_the_scatter(rng: np.random.Generator) -> None:
 
 
 def test_points_move_as_the_explanation_says(rng: np.random.Generator) -> None:
-    change = BY_CHANGE @ np.array([1e-4, 0.0, -2e-4, 0.0, 0.0, 0.0, 0.0])
+    change = by_change() @ np.array([1e-4, 0.0, -2e-4, 0.0, 0.0, 0.0, 0.0])
     result = check(measure(rng, change, sigma_px=0.005))
-    lit = project(*moved_sensor(PROJECTOR, change[PER_SENSOR:]), SURFACE)
-    wrong, _ = meet_rays(CAMERA, PROJECTOR, project(*CAMERA, SURFACE), lit)
-    off = float(np.sqrt(np.mean(np.sum((wrong - SURFACE) ** 2, axis=1))))
+    lit = project(*moved_sensor(PROJECTOR, change[PER_SENSOR:]), surface())
+    wrong, _ = meet_rays(CAMERA, PROJECTOR, project(*CAMERA, surface()), lit)
+    off = float(np.sqrt(np.mean(np.sum((wrong - surface()) ** 2, axis=1))))
     # The gap says nothing of what turns within the epipolar planes; the smallest change is nearly all here.
     assert result.point_change_rms_mm == pytest.approx(
         off, abs=4.0 * result.point_change_sigma_mm + 0.2 * off

@@ -19,7 +19,6 @@ from sms_jobs.metrology.surfaces.registration import register
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface, triangle_surface
 
 TRUTH = inverse(PLACEMENT)
-SEEN = seen_plate()
 SIGMA_MM = 0.05
 DEPTH_MM, RADIUS_MM, AT = 1.5, 25.0, (60.0, 40.0)
 
@@ -32,7 +31,7 @@ def plate() -> TriangleSurface:
 def test_the_deviation_of_exact_points_is_the_chord_error(
     plate: TriangleSurface, rng: np.random.Generator
 ) -> None:
-    found = deviations(plate, measured(SEEN, SEEN.xyz, 1e-9, rng), TRUTH, np.zeros((6, 6)))
+    found = deviations(plate, measured(seen_plate(), seen_plate().xyz, 1e-9, rng), TRUTH, np.zeros((6, 6)))
     known = np.isfinite(found.deviation)
     assert known.mean() > 0.95
     # Chords of a hill are below it, of a valley above it.
@@ -40,11 +39,11 @@ def test_the_deviation_of_exact_points_is_the_chord_error(
 
 
 def test_a_dent_is_as_deep_as_it_is(plate: TriangleSurface, rng: np.random.Generator) -> None:
-    points = measured(SEEN, SEEN.dented(DEPTH_MM, RADIUS_MM, AT), SIGMA_MM, rng)
+    points = measured(seen_plate(), seen_plate().dented(DEPTH_MM, RADIUS_MM, AT), SIGMA_MM, rng)
     registration = register(plate, points, TRUTH)
     found = deviations(plate, points, registration.pose, registration.covariance)
-    known = np.isfinite(SEEN.xyz).all(axis=0)
-    place = SEEN.place[:2, known]
+    known = np.isfinite(seen_plate().xyz).all(axis=0)
+    place = seen_plate().place[:2, known]
     square = (place[0] - AT[0]) ** 2 + (place[1] - AT[1]) ** 2
     expected = -DEPTH_MM * np.exp(-0.5 * square / RADIUS_MM**2)
     error = found.deviation - expected
@@ -62,7 +61,7 @@ def test_a_dent_is_as_deep_as_it_is(plate: TriangleSurface, rng: np.random.Gener
 def test_sigma_is_what_the_deviation_scatters_by(plate: TriangleSurface) -> None:
     runs = []
     for seed in range(12):
-        points = measured(SEEN, SEEN.xyz, SIGMA_MM, np.random.default_rng(seed))
+        points = measured(seen_plate(), seen_plate().xyz, SIGMA_MM, np.random.default_rng(seed))
         registration = register(plate, points, TRUTH)
         found = deviations(plate, points, registration.pose, registration.covariance)
         runs.append(found.deviation / found.sigma)
@@ -76,7 +75,7 @@ def test_sigma_is_what_the_deviation_scatters_by(plate: TriangleSurface) -> None
 
 
 def test_what_the_registration_does_not_know_counts(plate: TriangleSurface, rng: np.random.Generator) -> None:
-    points = measured(SEEN, SEEN.xyz, SIGMA_MM, rng)
+    points = measured(seen_plate(), seen_plate().xyz, SIGMA_MM, rng)
     covariance = np.zeros((6, 6))
     covariance[5, 5] = 0.3**2
     sure, unsure = (deviations(plate, points, TRUTH, c) for c in (np.zeros((6, 6)), covariance))
@@ -89,7 +88,7 @@ def test_what_the_registration_does_not_know_counts(plate: TriangleSurface, rng:
 def test_points_with_no_counterpart_have_no_deviation(
     plate: TriangleSurface, rng: np.random.Generator
 ) -> None:
-    points = measured(SEEN, SEEN.dented(4.0, 20.0, AT), SIGMA_MM, rng)
+    points = measured(seen_plate(), seen_plate().dented(4.0, 20.0, AT), SIGMA_MM, rng)
     found = deviations(plate, points, TRUTH, np.zeros((6, 6)), within_mm=2.0)
     known = np.isfinite(found.deviation)
     assert np.abs(found.deviation[known]).max() < 2.0

@@ -25,7 +25,6 @@ from sms_jobs.metrology.surfaces.registration import MeasuredPoints, Registratio
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface, triangle_surface
 
 TRUTH = inverse(PLACEMENT)  # world into the plate's own frame
-SEEN = seen_plate()
 SIGMA_MM = 0.05
 
 
@@ -90,7 +89,7 @@ def test_points_of_the_virtual_rig_are_within_their_noise(
     plate: TriangleSurface, rng: np.random.Generator
 ) -> None:
     start = nudged(TRUTH, (0.01, -0.015, 0.01), (3.0, 2.0, -2.0))
-    found = register(plate, measured(SEEN, SEEN.xyz, SIGMA_MM, rng), start)
+    found = register(plate, measured(seen_plate(), seen_plate().xyz, SIGMA_MM, rng), start)
     assert (found.converged, found.held) == (True, 0)
     # 1 but for what the robust spread of some 1000 points scatters by, 3 %: three of that.
     assert found.scale < 1.1
@@ -117,8 +116,10 @@ def test_the_covariance_is_that_of_many_registrations(
 
 def test_a_dent_hardly_pulls_the_part(plate: TriangleSurface) -> None:
     depth, radius = 3.0, 20.0
-    dent = SEEN.dented(depth, radius, (60.0, 40.0))
-    clean, dented = (measured(SEEN, xyz, SIGMA_MM, np.random.default_rng(3)) for xyz in (SEEN.xyz, dent))
+    dent = seen_plate().dented(depth, radius, (60.0, 40.0))
+    clean, dented = (
+        measured(seen_plate(), xyz, SIGMA_MM, np.random.default_rng(3)) for xyz in (seen_plate().xyz, dent)
+    )
     without, with_dent = (register(plate, points, TRUTH) for points in (clean, dented))
     normals = clean.normals @ TRUTH.matrix().T
     moved = transform(with_dent.pose, clean.xyz) - transform(without.pose, clean.xyz)
@@ -127,8 +128,10 @@ def test_a_dent_hardly_pulls_the_part(plate: TriangleSurface) -> None:
     # plate by J (J'J)^-1 J' times the dent. With the biweight only what is left of its rim pulls, less than
     # 4.7 sigma deep, over the mean slope of the biweight under noise, 0.76. Noise on the rim blurs that: half
     # as much again.
-    exact = transform(TRUTH, SEEN.xyz[:, np.isfinite(SEEN.xyz).all(axis=0)].T)
-    profile = np.sum((dent - SEEN.xyz) * SEEN.normal, axis=0)[np.isfinite(SEEN.xyz).all(axis=0)]
+    exact = transform(TRUTH, seen_plate().xyz[:, np.isfinite(seen_plate().xyz).all(axis=0)].T)
+    profile = np.sum((dent - seen_plate().xyz) * seen_plate().normal, axis=0)[
+        np.isfinite(seen_plate().xyz).all(axis=0)
+    ]
     gradient = np.einsum("ni,nij->nj", normals, rigid_modes(exact - exact.mean(axis=0)))
     plain = gradient @ np.linalg.lstsq(gradient, profile, rcond=None)[0]
     rim = profile * np.clip(1.0 - (profile / (4.685 * SIGMA_MM)) ** 2, 0.0, None) ** 2
