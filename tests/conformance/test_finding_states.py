@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +17,7 @@ from typing import Any
 import pytest
 from pyarrow import parquet
 from sqlalchemy import select
+from support import catalogues
 from support.command import answer, inside
 from support.homes import make_home
 from support.jobs import NOW
@@ -161,11 +164,22 @@ def changed(catalogue: Catalogue) -> None:
         session.add(LoadStateRow(campaign_id=2, label="later", position=100, load_n=60e3, time=NOW))
 
 
-@pytest.fixture
-def filled(catalogue: Catalogue) -> Catalogue:
-    many_files.fill(catalogue, 2000)  # the second campaign has states without files
-    changed(catalogue)
-    return catalogue
+@pytest.fixture(scope="module", params=["embedded", "grown"])
+def filled(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, migrated_sqlite: Path
+) -> Iterator[Catalogue]:
+    """A full catalogue of either deployment, which all tests ask and none changes."""
+    with ExitStack() as stack:
+        if request.param == "embedded":
+            file = shutil.copy(migrated_sqlite, tmp_path_factory.mktemp("filled"))
+            url = f"sqlite:///{file}"
+        else:
+            server, template = map(request.getfixturevalue, ("postgresql", "_migrated_database"))
+            url = stack.enter_context(catalogues.database(server, template))
+        catalogue = stack.enter_context(closing(Catalogue(url)))
+        many_files.fill(catalogue, 2000)  # the second campaign has states without files
+        changed(catalogue)
+        yield catalogue
 
 
 def strain(state: Plain) -> Callable[[str], float]:

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.deployments import mainly
 
 from sms_jobs.bench.recorded.killed_plan import Day, KilledPlan
 
 
-@pytest.fixture(params=["embedded", "grown"])
+@pytest.fixture(params=mainly("grown"))
 def environment(request: pytest.FixtureRequest) -> dict[str, str]:
-    """Settings of either deployment."""
+    """Settings of either deployment, of which `test_kills` kills the services of both."""
     if request.param == "embedded":
         return {}
     return {
