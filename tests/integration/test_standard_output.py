@@ -59,8 +59,17 @@ def test_an_answer_that_finds_no_room_is_told_in_one_sentence(
         assert line.startswith(
             "error: the answer cannot be written to standard output: No space left on device"
         )
-        # Where there is no room for the sentence either, the exit code tells.
-        assert run(used, arguments, full.fileno(), full.fileno()).returncode == StorageUnusable.exit_code
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="this system has no device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_where_the_sentence_finds_no_room_either_the_exit_code_tells(
+    used: Path, unbuffered: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
+    with FULL.open("w") as full:
+        done = run(used, ("status",), full.fileno(), full.fileno())
+    assert done.returncode == StorageUnusable.exit_code
 
 
 def test_a_command_whose_output_is_closed_does_its_work(used: Path) -> None:
