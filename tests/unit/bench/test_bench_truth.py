@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from sms_jobs.bench.correlated.truth_pairs import READ_NOISE, TruthPair, pairs
 from sms_jobs.bench.groups.truth import crack_openings, judged, judged_crack, matched
+from sms_jobs.testing.shelf import Shelf
 
+ShelfOf = Callable[[TruthPair], Shelf]
 SEED = 7
 
 
@@ -16,6 +20,21 @@ SEED = 7
 def made() -> dict[str, TruthPair]:
     found = [make() for make in pairs(SEED, quick=True)]
     return {f"{pair.group}, {pair.name}": pair for pair in found}
+
+
+@pytest.fixture(scope="module")
+def shelf_of(made: dict[str, TruthPair]) -> ShelfOf:
+    """Return what matches a pair that was made, each once: several tests judge the cracks."""
+    found: dict[str, Shelf] = {}
+
+    def shelf_of(pair: TruthPair) -> Shelf:
+        name = f"{pair.group}, {pair.name}"
+        assert made[name] is pair
+        if name not in found:
+            found[name] = matched(pair, 1)
+        return found[name]
+
+    return shelf_of
 
 
 def test_the_second_image_shows_what_the_displacement_says(made: dict[str, TruthPair]) -> None:
@@ -39,23 +58,23 @@ def test_the_second_image_shows_what_the_displacement_says(made: dict[str, Truth
 
 
 @pytest.mark.parametrize("group", ["sine", "crack", "dust", "outline"])
-def test_what_is_wrong_is_not_called_valid(made: dict[str, TruthPair], group: str) -> None:
+def test_what_is_wrong_is_not_called_valid(made: dict[str, TruthPair], shelf_of: ShelfOf, group: str) -> None:
     """At most a hundred in a million: what is left lies together, in one place of a pair or none."""
-    found = [judged(pair, matched(pair, 1)) for pair in made.values() if pair.group == group]
+    found = [judged(pair, shelf_of(pair)) for pair in made.values() if pair.group == group]
     valid = sum(one.valid for one in found)
     assert valid > 0.3 * sum(one.seen for one in found)
     assert sum(one.silent for one in found) <= 1e-4 * valid
 
 
-def test_a_grid_that_may_be_a_period_off_has_no_value(made: dict[str, TruthPair]) -> None:
+def test_a_grid_that_may_be_a_period_off_has_no_value(made: dict[str, TruthPair], shelf_of: ShelfOf) -> None:
     (pair,) = (pair for pair in made.values() if pair.group == "grid")
-    assert judged(pair, matched(pair, 1)).valid == 0
+    assert judged(pair, shelf_of(pair)).valid == 0
 
 
-def test_what_a_crack_has_opened_by_is_told(made: dict[str, TruthPair]) -> None:
+def test_what_a_crack_has_opened_by_is_told(made: dict[str, TruthPair], shelf_of: ShelfOf) -> None:
     """Planes over half a disc of 30 px know the sides to 0.011 px each, by noise; the direction of the line
     adds up to 0.02 of what goes along it. Strain keeps to its side: its deviation holds."""
-    cracks = [judged_crack(pair.slip, matched(pair, 1)) for pair in made.values() if pair.slip is not None]
+    cracks = [judged_crack(pair.slip, shelf_of(pair)) for pair in made.values() if pair.slip is not None]
     assert len(cracks) == 3
     for one in cracks:
         assert len(one.opening) > 45
@@ -65,10 +84,12 @@ def test_what_a_crack_has_opened_by_is_told(made: dict[str, TruthPair]) -> None:
         assert 0.7 < np.sqrt(np.mean(one.strain**2)) < 1.3
 
 
-def test_a_crack_that_ends_has_not_opened_ahead_of_its_tip(made: dict[str, TruthPair]) -> None:
+def test_a_crack_that_ends_has_not_opened_ahead_of_its_tip(
+    made: dict[str, TruthPair], shelf_of: ShelfOf
+) -> None:
     """Its line is led on to the border; planes see an opening up to 30 px ahead of where it begins."""
     (pair,) = (pair for name, pair in made.items() if "ends" in name)
-    found = crack_openings(matched(pair, 1))
+    found = crack_openings(shelf_of(pair))
     true = 2.0 * np.sqrt(np.maximum(256.0 - found.pixel[:, 0], 0.0) / 256.0)
     score = (found.opening - true) / found.sigma_opening
     assert found.pixel[:, 0].max() > 480.0

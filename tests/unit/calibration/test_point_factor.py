@@ -48,9 +48,12 @@ class Rig:
     sensors: tuple[Camera, ...]
     orientations: tuple[float, ...] = ()
 
-    def measured(self, sensors: tuple[Camera, ...], world: Floats) -> Floats:
-        """Return what other sensors make of the pixels in which these see points (n, 3), without noise."""
-        pixels = [project(one.intrinsics, one.pose, world) for one in self.sensors]
+    def seen(self, world: Floats) -> list[Floats]:
+        """Return the pixels (n, 2) in which each sensor sees points (n, 3), without noise."""
+        return [project(one.intrinsics, one.pose, world) for one in self.sensors]
+
+    def measured(self, sensors: tuple[Camera, ...], pixels: list[Floats]) -> Floats:
+        """Return what other sensors make of the pixels in which these see points."""
         camera, *partners = sensors
         if not self.orientations:
             places = np.stack([each.T for each in pixels[1:]])
@@ -186,10 +189,10 @@ def test_what_drawn_calibrations_make_scatters_as_the_factor_says(rig: Rig) -> N
     first = points(rig.sensors[0]).reshape(-1, 3)
     last = first + first @ STRETCH.T + SHIFT
     random = np.random.default_rng(3)
-    made = []
+    made, pixels = [], rig.seen(np.concatenate([first, last]))
     for _ in range(DRAWS):
-        sensors = drawn(view, random)
-        made.append(results(rig.measured(sensors, first), rig.measured(sensors, last)))
+        both = rig.measured(drawn(view, random), pixels)
+        made.append(results(both[: len(first)], both[len(first) :]))
     scatter = np.sqrt(np.mean((np.array(made) - results(first, last)) ** 2, axis=0))
     np.testing.assert_allclose(scatter / stated(view, first, last), 1.0, atol=WITHIN)
 

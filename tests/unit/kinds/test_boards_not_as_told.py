@@ -47,6 +47,11 @@ def perfect() -> BoardSession:
     return board_session(SMALL, 3)
 
 
+@cache
+def perfectly() -> Calibrated:
+    return calibrated(perfect())
+
+
 def found_bow(quality: CalibrationQuality) -> tuple[float, float]:
     bow = quality.estimate(Estimated.BOW_ALONG_X, "board")
     assert bow is not None
@@ -71,7 +76,7 @@ def test_a_bow_is_found_and_moves_no_parameter(height: float) -> None:
     assert sigma < 0.005
     # 22 correlated numbers: none beyond 4.5 of their deviations, and not one moves with the bow.
     assert worst_z(made, found) < 4.5
-    flat = calibrated(perfect())
+    flat = perfectly()
     moved = [
         a.intrinsics.fx - b.intrinsics.fx
         for a, b in zip(found.calibration.rig.sensors, flat.calibration.rig.sensors, strict=True)
@@ -127,7 +132,7 @@ def seen(made: BoardSession, pose: str, camera: str) -> Subject:
 
 
 def test_a_perfect_session_has_no_warning_and_says_what_its_scale_is_worth() -> None:
-    quality = calibrated(perfect()).quality
+    quality = perfectly().quality
     assert quality.warnings == ()
     assert "nominal pitch of board, of which nobody has told" in quality.scale
     told = board_session(replace(SMALL, board=replace(BOARD, pitch_relative_sigma=1e-3)), 3)
