@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from collections.abc import Collection, Iterator, Sequence
 from datetime import datetime
 from functools import cache
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 from sqlalchemy import Select, func, insert, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, undefer
 
 from sms_jobs.catalogue.models import (
     CampaignRow,
@@ -155,7 +156,7 @@ def campaign_id(session: Session, name: str) -> int:
 
 
 def campaign_row(session: Session, name: str) -> CampaignRow:
-    """Return the row of a campaign, with its whole definition; raises as `campaign_id` does."""
+    """Return the row of a campaign; raises as `campaign_id` does."""
     return session.get_one(CampaignRow, campaign_id(session, name))
 
 
@@ -191,23 +192,37 @@ def _digest(kept: dict[str, Any]) -> str:
 
 
 class Definitions:
-    """The campaigns that jobs were about lately, read and parsed once.
+    """The campaigns that jobs or pages were about lately, read and parsed once.
 
-    With hundreds of states that takes longer than everything else that the service does for a job.
+    With hundreds of states that takes longer than everything else that is done for a job, or for a page.
+    Threads may share it.
     """
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._definitions: dict[str, Campaign] = {}
 
     def get(self, session: Session, campaign_id: int, known_by: str) -> Campaign:
         """Return the definition of a campaign that has that hash; where it has another one now, that."""
-        if known_by in self._definitions:
-            return self._definitions[known_by]
-        row = session.get_one(CampaignRow, campaign_id)
-        campaign = self._definitions[row.definition_hash] = definition(row)
-        if len(self._definitions) > KEPT_DEFINITIONS:
-            del self._definitions[next(iter(self._definitions))]
+        with self._lock:
+            known = self._definitions.get(known_by)
+        if known is not None:
+            return known
+        row = session.get_one(CampaignRow, campaign_id, options=[undefer(CampaignRow.definition)])
+        campaign = definition(row)
+        with self._lock:
+            self._definitions[row.definition_hash] = campaign
+            if len(self._definitions) > KEPT_DEFINITIONS:
+                del self._definitions[next(iter(self._definitions))]
         return campaign
+
+
+_SHOWN = Definitions()
+
+
+def shown_definition(session: Session, row: CampaignRow) -> Campaign:
+    """Return the definition of a row, parsed once for all in this process who show it."""
+    return _SHOWN.get(session, row.id, row.definition_hash)
 
 
 def as_json(campaign: Campaign) -> dict[str, Any]:

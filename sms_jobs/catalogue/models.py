@@ -81,7 +81,8 @@ class CampaignRow(Table):
     specimen_id: Mapped[int] = mapped_column(ForeignKey("specimen.id"), index=True)
     rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"), index=True)
     created_at: Mapped[datetime]
-    definition: Mapped[dict[str, Any]]
+    definition: Mapped[dict[str, Any]] = mapped_column(deferred=True)
+    """Read only where it is asked for: with hundreds of states that takes longer than all else."""
     definition_hash: Mapped[str] = mapped_column(String(64))
     views: Mapped[list[str]] = mapped_column(JSON, server_default="[]")
     """As the definition has them, which with hundreds of states takes long to read."""

@@ -20,7 +20,7 @@ from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.estimates import ends, estimate, pace
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit
-from sms_jobs.jobs.running import queues, recovery
+from sms_jobs.jobs.running import orders, queues, recovery
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -92,6 +92,23 @@ def test_a_kind_without_history_leaves_a_lower_bound(catalogue: Catalogue) -> No
     assert ahead.unknown == {"reconstruct": 4}
     # Two states, recorded by two workers at the same time.
     assert ahead.seconds == SECONDS["simulate"]
+
+
+def test_what_is_remembered_is_read_again_once_another_job_has_succeeded(catalogue: Catalogue) -> None:
+    add_campaign(catalogue, "plate")
+    takes = []
+    for factor in (1, 3, 3):
+        submitted(catalogue, "plate", "simulate")
+        later = NOW + timedelta(hours=len(takes))
+        let_all_succeed(catalogue, {"simulate": factor * SECONDS["simulate"]}, at=later)
+        new = submitted(catalogue, "plate", "simulate")
+        takes.append(told(catalogue, new, later).seconds)
+        assert told(catalogue, new, later).seconds == takes[-1]
+        with catalogue.writing() as session:
+            for job in new:
+                orders.cancel(session, job, later, "")
+    # The median of as many jobs that took once as long and thrice; then most took thrice as long.
+    assert takes == [factor * SECONDS["simulate"] for factor in (1, 2, 3)]
 
 
 def test_the_longest_chain_and_the_shared_work_are_both_respected(catalogue: Catalogue) -> None:

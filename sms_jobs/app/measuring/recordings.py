@@ -192,7 +192,13 @@ def abort(services: Services, prefix: str | None = None) -> list[str]:
 
 
 @use_case(Right.READ)
-def progress(services: Services, campaign: str) -> list[StateProgress]:
-    """Return what is recorded of each state, how good it is, and what is known of it already."""
+def progress(services: Services, campaign: str, states: Sequence[str] = ()) -> list[StateProgress]:
+    """Return what is recorded of each state, how good it is, and what is known of it already.
+
+    Parameters
+    ----------
+    states
+        Labels of those of which it is returned; all if empty.
+    """
     with services.catalogue.reading() as session:
-        return progress_of(session, campaign)
+        return progress_of(session, campaign, states)

@@ -214,6 +214,29 @@ class CampaignStory:
     times: dict[str, datetime]
 
 
+@dataclass(frozen=True)
+class CampaignOverview:
+    """What a campaign is, when and from which plan it was made, and how many jobs are in each state."""
+
+    campaign: Campaign
+    created_at: datetime
+    plan: str | None
+    jobs: dict[str, int]
+
+
+@use_case(Right.READ)
+def overview(services: Services, name: str) -> CampaignOverview:
+    """Return what is shown of a campaign again and again; raises as `show` does."""
+    with services.catalogue.reading() as session:
+        row = campaigns.campaign_row(session, name)
+        return CampaignOverview(
+            campaigns.shown_definition(session, row),
+            row.created_at,
+            row.plan,
+            inquiry.counts(session, Chosen(campaign_id=row.id)),
+        )
+
+
 @use_case(Right.READ)
 def show(services: Services, name: str) -> CampaignStory:
     """Return what is known of a campaign; raises `NotFound` where there is none of that name."""

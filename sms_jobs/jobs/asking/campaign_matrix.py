@@ -17,6 +17,7 @@ from sms_jobs.catalogue.models import (
     JobRow,
     LoadStateRow,
 )
+from sms_jobs.catalogue.subjects import at_states
 from sms_jobs.jobs.results.stale import stale_files
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT
@@ -53,7 +54,7 @@ def matrix(
         Labels of those of which it is returned, beside what is about the whole campaign; empty for all.
     """
     files, by_job = _files(session, campaign.id, states)
-    jobs = _jobs(session, campaign.id, states)
+    jobs = _jobs(session, campaign, states)
     stale, pictured = stale_files(session, campaign, now), _pictured_kinds()
     cells = []
     for state, view, kind in dict.fromkeys([*files, *jobs]):
@@ -126,7 +127,7 @@ def _files(
     return newest, by_job
 
 
-def _jobs(session: Session, campaign_id: int, states: Collection[str]) -> dict[_Place, _Job]:
+def _jobs(session: Session, campaign: CampaignRow, states: Collection[str]) -> dict[_Place, _Job]:
     """Return the newest job of each place."""
     # States as they are stored: of thousands, making each a `JobState` takes as long as reading them.
     rows = session.execute(
@@ -139,7 +140,10 @@ def _jobs(session: Session, campaign_id: int, states: Collection[str]) -> dict[_
             JobRow.error,
             JobRow.message,
         )
-        .where(JobRow.campaign_id == campaign_id)
+        .where(
+            JobRow.campaign_id == campaign.id,
+            at_states(JobRow.subject, campaign.name, states) if states else true(),
+        )
         .order_by(JobRow.position)
     )
     newest = {
@@ -150,7 +154,6 @@ def _jobs(session: Session, campaign_id: int, states: Collection[str]) -> dict[_
     found: dict[_Place, _Job] = {}
     for (text, kind), (job, state, reused_from, said) in newest.items():
         subject = about[text]
-        if not states or subject.state is None or subject.state in states:
-            why = "" if state in _ACTIVE else said
-            found[subject.state, subject.view, kind] = _Job(job, state, reused_from, why)
+        why = "" if state in _ACTIVE else said
+        found[subject.state, subject.view, kind] = _Job(job, state, reused_from, why)
     return found

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TYPE_CHECKING
 
-from sqlalchemy import String, select, type_coerce
+from sqlalchemy import ColumnElement, String, select, true, type_coerce
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_id
 from sms_jobs.catalogue.models import FileRow, JobRow, LoadStateRow, StatisticRow
+from sms_jobs.catalogue.subjects import at_states
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
@@ -25,26 +25,25 @@ from sms_jobs.records.statistic_names import (
 )
 from sms_jobs.records.subject import Subject
 
-if TYPE_CHECKING:
-    pass
-
 _ACTIVE = frozenset(state.value for state in ACTIVE)
 _UNSUCCESSFUL = frozenset(state.value for state in UNSUCCESSFUL)
 _LARGEST = {"correlate": maximum_displacement("mm"), "strain": MAXIMUM_PRINCIPAL_STRAIN}
 """By kind, the statistic that says at a glance what a state did."""
 
 
-def progress_of(session: Session, name: str) -> list[StateProgress]:
-    """Return how each state of a campaign comes along, in order."""
+def progress_of(session: Session, name: str, states: Collection[str] = ()) -> list[StateProgress]:
+    """Return how each state of a campaign comes along, in order; of some of them alone if they are given."""
     number = campaign_id(session, name)
-    files, jobs = _newest_files(session, number), _jobs(session, number)
+    wanted = LoadStateRow.label.in_(list(states)) if states else true()
+    files = _newest_files(session, number, wanted)
+    jobs = _jobs(session, number, at_states(JobRow.subject, name, states) if states else true())
     # Not of the definition, which takes as long to read as everything else.
-    states = session.execute(
+    rows = session.execute(
         select(LoadStateRow.label, LoadStateRow.planned_load_n)
-        .where(LoadStateRow.campaign_id == number)
+        .where(LoadStateRow.campaign_id == number, wanted)
         .order_by(LoadStateRow.position)
     )
-    return [_progress(label, load_n, files[label], jobs[label]) for label, load_n in states]
+    return [_progress(label, load_n, files[label], jobs[label]) for label, load_n in rows]
 
 
 @dataclass
@@ -64,8 +63,10 @@ class _Jobs:
     unsuccessful: int = 0
 
 
-def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[tuple[str, str], _Found]]:
-    """Return by state, source and view what the newest file says."""
+def _newest_files(
+    session: Session, campaign_id: int, wanted: ColumnElement[bool]
+) -> defaultdict[str, dict[tuple[str, str], _Found]]:
+    """Return by state, source and view what the newest file says, of the wanted states."""
     rows = session.execute(
         select(
             LoadStateRow.label,
@@ -81,6 +82,7 @@ def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[t
         .outerjoin(StatisticRow, StatisticRow.file_id == FileRow.id)
         .where(
             FileRow.campaign_id == campaign_id,
+            wanted,
             FileRow.source.in_((MEASUREMENT, *_LARGEST)),
             FileRow.view.is_not(None),
         )
@@ -98,12 +100,12 @@ def _newest_files(session: Session, campaign_id: int) -> defaultdict[str, dict[t
     return found
 
 
-def _jobs(session: Session, campaign_id: int) -> defaultdict[str, _Jobs]:
+def _jobs(session: Session, campaign_id: int, wanted: ColumnElement[bool]) -> defaultdict[str, _Jobs]:
     """Return by state what records and processes it; of jobs of one kind and subject the last counts."""
     # States of jobs as they are stored: of thousands, making each a `JobState` takes as long as reading them.
     rows = session.execute(
         select(JobRow.kind, JobRow.subject, type_coerce(JobRow.state, String))
-        .where(JobRow.campaign_id == campaign_id)
+        .where(JobRow.campaign_id == campaign_id, wanted)
         .order_by(JobRow.position)
     )
     last = {(kind, subject): state for kind, subject, state in rows}

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import valid_calibrations
@@ -23,6 +24,9 @@ from sms_jobs.records.views import view_of
 
 _REMEMBERED = 200
 """Jobs of a kind, the latest, that an estimate looks back on."""
+_LATEST_FIRST = JobRow.finished_at.desc()
+_Latest: TypeAlias = tuple[str, datetime | None]
+"""Id of a job, and when it ended."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +38,54 @@ class _Size:
 
 
 @dataclass(frozen=True)
-class _Past:
+class _Done:
     """A job that has succeeded, and what it took."""
 
     version: int
     parameters: dict[str, Any]
-    size: _Size | None
+    campaign_id: int
+    subject: str
     host: str
     seconds: float
+
+
+class _Past(NamedTuple):
+    """A job that has succeeded, and how large it was by what is known now."""
+
+    done: _Done
+    size: _Size | None
+
+
+class _Remembered:
+    """The latest jobs of each kind, read again once another one is the latest.
+
+    Pages ask for an estimate whenever something has happened, and reading hundreds of jobs takes longer than
+    everything else about it. One that is tried again is remembered until then: what it took is still true.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kinds: dict[str, tuple[_Latest, tuple[_Done, ...]]] = {}
+
+    def of_kind(self, session: Session, kind: str) -> tuple[_Done, ...]:
+        """Return the latest jobs of a kind that have succeeded."""
+        latest = session.execute(
+            select(JobRow.id, JobRow.finished_at).where(*_succeeded(kind)).order_by(_LATEST_FIRST).limit(1)
+        ).one_or_none()
+        if latest is None:
+            return ()
+        known_by: _Latest = (latest.id, latest.finished_at)
+        with self._lock:
+            known = self._kinds.get(kind)
+        if known is not None and known[0] == known_by:
+            return known[1]
+        found = _done(session, kind)
+        with self._lock:
+            self._kinds[kind] = (known_by, found)
+        return found
+
+
+_REMEMBERED_JOBS = _Remembered()
 
 
 class History:
@@ -80,12 +124,12 @@ class History:
         by_likeness: dict[tuple[bool, ...], list[float]] = defaultdict(list)
         for past in self._of_kind(job.kind):
             alike = (
-                past.parameters == job.parameters,
+                past.done.parameters == job.parameters,
                 past.size == size,
-                past.host in self._hosts,
-                past.version == job.kind_version,
+                past.done.host in self._hosts,
+                past.done.version == job.kind_version,
             )
-            by_likeness[alike].append(past.seconds * self._ratio(job.kind, size, past.size))
+            by_likeness[alike].append(past.done.seconds * self._ratio(job.kind, size, past.size))
         return median(by_likeness[max(by_likeness)]) if by_likeness else None
 
     def _ratio(self, kind: str, size: _Size | None, past: _Size | None) -> float:
@@ -96,30 +140,10 @@ class History:
 
     def _of_kind(self, kind: str) -> list[_Past]:
         if kind not in self._past:
-            rows = self._session.execute(
-                select(
-                    JobRow.kind_version,
-                    JobRow.parameters,
-                    JobRow.campaign_id,
-                    JobRow.subject,
-                    WorkerRow.host,
-                    JobRow.started_at,
-                    JobRow.finished_at,
-                )
-                .join(WorkerRow, WorkerRow.id == JobRow.worker_id)
-                .where(
-                    JobRow.kind == kind,
-                    JobRow.state == JobState.SUCCEEDED,
-                    JobRow.reused_from.is_(None),
-                    JobRow.started_at.is_not(None),
-                )
-                .order_by(JobRow.finished_at.desc())
-                .limit(_REMEMBERED)
-            ).all()
-            self._learn({row.campaign_id for row in rows})
+            found = _REMEMBERED_JOBS.of_kind(self._session, kind)
+            self._learn({done.campaign_id for done in found})
             self._past[kind] = [
-                _Past(version, parameters, self._size(kind, campaign, subject), host, _between(begun, ended))
-                for version, parameters, campaign, subject, host, begun, ended in rows
+                _Past(done, self._size(kind, done.campaign_id, done.subject)) for done in found
             ]
         return self._past[kind]
 
@@ -165,6 +189,38 @@ def _images(session: Session, numbers: Sequence[int]) -> dict[int, _Images]:
         of_views = {view: pixels.get(view_of(view).camera, 0) for view in views}
         found[number] = _Images(of_views, frames, states.get(number, 0))
     return found
+
+
+def _succeeded(kind: str) -> tuple[ColumnElement[bool], ...]:
+    """Select the jobs of a kind that tell how long it takes."""
+    return (
+        JobRow.kind == kind,
+        JobRow.state == JobState.SUCCEEDED,
+        JobRow.reused_from.is_(None),
+        JobRow.started_at.is_not(None),
+    )
+
+
+def _done(session: Session, kind: str) -> tuple[_Done, ...]:
+    rows = session.execute(
+        select(
+            JobRow.kind_version,
+            JobRow.parameters,
+            JobRow.campaign_id,
+            JobRow.subject,
+            WorkerRow.host,
+            JobRow.started_at,
+            JobRow.finished_at,
+        )
+        .join(WorkerRow, WorkerRow.id == JobRow.worker_id)
+        .where(*_succeeded(kind))
+        .order_by(_LATEST_FIRST)
+        .limit(_REMEMBERED)
+    )
+    return tuple(
+        _Done(version, parameters, campaign, subject, host, _between(begun, ended))
+        for version, parameters, campaign, subject, host, begun, ended in rows
+    )
 
 
 def _between(begun: datetime | None, ended: datetime | None) -> float:

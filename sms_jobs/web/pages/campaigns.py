@@ -15,6 +15,7 @@ from sms_jobs.app.work import jobs, kinds
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.web.console import Entry, Page, Pages
+from sms_jobs.web.sharing import Shared
 
 PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
 
@@ -23,6 +24,7 @@ _PICTURES = 24
 _STATES = 50
 """That are shown at once: a page that is fetched again and again has to be quick."""
 _DATASET = "application/x-hdf5"
+_REMAINING: Shared[jobs.Remaining] = Shared()
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def list_(page: Page, limit: Annotated[int, Query(ge=1, le=10_000)] = _SHOWN) ->
     return page.render("campaigns.html", found=campaigns.list_campaigns(page.services, limit))
 
 
-@PAGES.show("/campaigns/{name}", campaigns.show)
+@PAGES.show("/campaigns/{name}", campaigns.overview)
 def show(
     page: Page,
     name: str,
@@ -62,7 +64,7 @@ def show(
 ) -> HTMLResponse:
     """Show how far a campaign is: states from the `first` on, and the parameters of a `kind`."""
     services = page.services
-    story = campaigns.show(services, name)
+    story = campaigns.overview(services, name)
     every = [state.label for state in story.campaign.states]
     first = min(first, len(every))
     states = every[first - 1 : first - 1 + _STATES]
@@ -79,11 +81,11 @@ def show(
         wholes=matrix([c for c in cells if c.view is None], states, order),
         pictures=_latest(pictured, order)[:_PICTURES],
         documents=documents,
-        progress=[one for one in recordings.progress(services, name) if one.label in states],
+        progress=recordings.progress(services, name, states),
         first=first,
         before=max(1, first - _STATES) if first > 1 else None,
         after=first + _STATES if first + _STATES <= len(every) else None,
-        remaining=jobs.remaining(services, name),
+        remaining=_REMAINING.of((services.settings.home, name), lambda: jobs.remaining(services, name)),
         running=jobs.list_jobs(services, campaign=name, states=[JobState.RUNNING], limit=20),
         kinds=offered,
         everything=kinds.EVERYTHING,

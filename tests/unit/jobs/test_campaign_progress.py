@@ -92,8 +92,11 @@ def test_what_is_recorded_and_computed_is_told(services: Services) -> None:
         add(session, "correlate", "S01", "C1P1", 4, maximum_displacement_mm=0.4)  # computed again
         add(session, "correlate", "S01", "C1P2", 5, maximum_displacement_mm=0.5)
         add(session, "strain", "S01", "C1P1", 6, maximum_principal_strain=2e-3)
-    _, computed = progress(services)
-    assert (computed.displacement_mm, computed.strain) == (0.5, 2e-3)
+    every = progress(services)
+    assert (every[1].displacement_mm, every[1].strain) == (0.5, 2e-3)
+    with services.catalogue.reading() as session:
+        for chosen in (every[:1], every[1:], every):
+            assert progress_of(session, "plate", [one.label for one in chosen]) == chosen
 
 
 def test_the_last_job_of_its_kind_counts(services: Services) -> None:
