@@ -106,9 +106,11 @@ def files_of_job(session: Session, job_id: str) -> list[FileView]:
     return [_view(*row) for row in session.execute(query)]
 
 
-def list_calibrations(session: Session, rig: str | None = None) -> list[CalibrationView]:
-    """Return calibrations, the one that became valid last first."""
-    query = _calibrations().order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc())
+def list_calibrations(
+    session: Session, rig: str | None = None, limit: int | None = None
+) -> list[CalibrationView]:
+    """Return calibrations, the one that became valid last first; at most `limit` if that is given."""
+    query = _calibrations().order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc()).limit(limit)
     if rig is not None:
         query = query.where(RigRow.name == rig)
     return _calibration_views(session, query)

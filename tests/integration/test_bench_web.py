@@ -37,7 +37,7 @@ def test_a_small_server_is_measured_and_gives_no_figure(
     assert all(f.value is None for f in figures.values())
     conditions = {c.topic: c.text for c in found if isinstance(c, Condition)}
     assert conditions["p95"].startswith("20000 files and 400 jobs that have not ended, on SQLite; 50 clients")
-    assert " answers to 22 addresses in equal parts, 11 of them pages" in conditions["p95"]
+    assert " answers to 23 addresses in equal parts, 12 of them pages" in conditions["p95"]
     assert ("the page of jobs in Chromium" in conditions["event_delay"]) is browser
     assert ("there is no Chromium" in conditions["event_delay"]) is not browser
     assert "95 % of 3 jobs" in conditions["event_delay"]

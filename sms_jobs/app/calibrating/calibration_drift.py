@@ -6,9 +6,11 @@ have moved against each other, after the rigid motion that brings both worlds to
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
+from typing import NamedTuple
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -16,8 +18,9 @@ from sms_jobs.catalogue import search
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.records.people import Right
+from sms_jobs.records.shown.files import CalibrationView
 
-_MOST = 12
+_MOST, _KEPT = 12, 1000
 _MICROMETRES = 1e3
 _SECONDS_A_DAY = 86400.0
 
@@ -72,34 +75,81 @@ class Drift:
 @use_case(Right.READ)
 def drift(services: Services, rig: str) -> Drift:
     """Return how far points have moved from one calibration of a rig to later ones, 11 at most."""
-    from sms_jobs.jobs.archiving import calibrations
-
     with services.catalogue.reading() as session:
-        found = search.list_calibrations(session, rig)[:_MOST][::-1]
+        found = search.list_calibrations(session, rig, _MOST)[::-1]
     if not found:
         return Drift(rig, None, None, ())
-    first, moved, unread = found[0], [], {}
+    first, unread = found[0], dict[str, bool]()
+    moved: list[Moved] = []
     for one in found[1:]:
         try:
-            changed, _ = calibrations.compare(services.catalogue, services.archive, first.id, one.id, None)
-        except InvalidInput:
-            continue  # of other sensors: there is nothing to compare
+            pairs = _COMPARED.of(services, first, one)
         except (ArchiveCorrupt, NotFound, OtherFormat) as error:
             unread[str(error)] = True
             continue
-        for pair in changed.pairs:
-            expected = pair.expected_aligned_rms_mm
-            moved.append(
-                Moved(
-                    one.id,
-                    one.valid_from,
-                    f"{pair.camera}{pair.projector}",
-                    pair.aligned_rms_mm,
-                    expected if isfinite(expected) else None,
-                    changed.verdict,
-                )
-            )
+        moved += [Moved(one.id, one.valid_from, *pair) for pair in pairs]
     return Drift(rig, first.id, first.valid_from, tuple(moved), tuple(unread))
+
+
+class _Pair(NamedTuple):
+    """What `Moved` tells of a view, whichever numbers the calibrations have."""
+
+    view: str
+    rms_mm: float
+    expected_mm: float | None
+    verdict: str
+
+
+def _compared(services: Services, first: CalibrationView, one: CalibrationView) -> tuple[_Pair, ...]:
+    """Read two calibrations and compare them, view by view; nothing where they are of other sensors."""
+    from sms_jobs.jobs.archiving import calibrations
+
+    try:
+        changed, _ = calibrations.compare(services.catalogue, services.archive, first.id, one.id, None)
+    except InvalidInput:
+        return ()
+    return tuple(
+        _Pair(
+            f"{pair.camera}{pair.projector}",
+            pair.aligned_rms_mm,
+            pair.expected_aligned_rms_mm if isfinite(pair.expected_aligned_rms_mm) else None,
+            changed.verdict,
+        )
+        for pair in changed.pairs
+    )
+
+
+class _Compared:
+    """Comparisons by what was sealed, which never changes: the page is opened again and again.
+
+    A file that is gone or of another size is read, which says so. What else may be wrong with it is found by
+    those who read or verify it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._found: dict[tuple[str, str], tuple[_Pair, ...]] = {}
+
+    def of(self, services: Services, first: CalibrationView, one: CalibrationView) -> tuple[_Pair, ...]:
+        """Return what `_compared` returned for these contents; what it raises is tried again next time."""
+        hashes = (first.content_hash, one.content_hash)
+        with self._lock:
+            known = self._found.get(hashes)
+        if known is not None and all(_is_there(services, view) for view in (first, one)):
+            return known
+        known = _compared(services, first, one)
+        with self._lock:
+            self._found[hashes] = known
+            if len(self._found) > _KEPT:
+                del self._found[next(iter(self._found))]
+        return known
+
+
+def _is_there(services: Services, view: CalibrationView) -> bool:
+    return services.archive.size(view.path) == view.size_bytes
+
+
+_COMPARED = _Compared()
 
 
 def drift_chart(found: Drift) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from statistics import median, quantiles
 from urllib.parse import urlencode
@@ -22,10 +22,17 @@ from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.large import many_files, many_jobs
 from sms_jobs.bench.web_clients import API, LISTED, EventEar, PageOfJobs, Served, crowd, served
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue import search
+from sms_jobs.catalogue.models import CalibrationRow, FileRow
+from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.kinds.products import CALIBRATED, UNCERTAINTY
+from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS
+from sms_jobs.records.calibration import CalibrationUncertainty
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.job import JobState
+from sms_jobs.records.sensors import Sensor
 from sms_jobs.records.subject import Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 _FILES, _QUICK_FILES = 1_000_000, 20_000
 _JOBS, _QUICK_JOBS = 100_000, 5_000
@@ -39,10 +46,14 @@ _EVENTS = 20
 _BETWEEN_EVENTS_S = (0.5, 1.5)
 _HEARD_WITHIN_S = 30.0
 _AT = datetime(2026, 1, 1, tzinfo=UTC)
+_DRIFTED = 12
+"""Calibrations that the page of drift compares."""
+_DRIFT_MM, _PARAMETER_SIGMA = 0.01, 1e-4
+"""From one calibration to the next; of each parameter, in its own unit."""
 
 
 def _addresses(services: Services, fields: Sequence[int]) -> list[str]:
-    """Return what people open and what programs ask for: nothing that reads files, which are not there."""
+    """Return what people open and what programs ask for, of what is in the catalogue or is sealed here."""
     campaign = many_jobs.name_of(0)
     with_jobs = {"campaign": campaign, "limit": 50}
     waiting, queued = (
@@ -62,6 +73,7 @@ def _addresses(services: Services, fields: Sequence[int]) -> list[str]:
         "/recordings",
         "/schedules",
         "/runs",
+        "/calibrations",
     ]
     asked = [
         "/status",
@@ -101,6 +113,40 @@ def _fields(services: Services, side: int) -> list[int]:
             session.flush()
             numbers.append(row.id)
     return numbers
+
+
+def _calibrations(services: Services) -> None:
+    """Seal what the newest calibrations of the rig of a million files are: each has drifted a little more.
+
+    Each has the covariance of its parameters, as one that was certified has; a page compares them.
+    """
+    with services.catalogue.reading() as session:
+        newest = search.list_calibrations(session, many_files.RIG, _DRIFTED)[::-1]
+    known, _ = small_plate("drift")
+    count = len(known.rig.sensors) * len(SENSOR_PARAMETERS)
+    covariance = np.diag(np.full(count, _PARAMETER_SIGMA**2))
+    names = tuple(sensor.name for sensor in known.rig.sensors)
+    uncertainty = CalibrationUncertainty(names, SENSOR_PARAMETERS, covariance)
+    for place, view in enumerate(newest):
+        sensors = tuple(_shifted(sensor, _DRIFT_MM * place * k) for k, sensor in enumerate(known.rig.sensors))
+        record = replace(known, rig=replace(known.rig, name=many_files.RIG, sensors=sensors))
+        made = Provenance(
+            CALIBRATION, 1, Subject("drift"), "drift", place + 1, _AT, {}, (), "0", "here", "me"
+        )
+        records = {CALIBRATED.stored_as: record, UNCERTAINTY.stored_as: uncertainty}
+        sealed = services.archive.seal_dataset(records, made)
+        with services.catalogue.writing() as session:
+            row = session.get_one(CalibrationRow, view.id)
+            row.valid_from = many_files.BEGUN + timedelta(days=1 + place)
+            file = session.get_one(FileRow, row.file_id)
+            file.path, file.content_hash = sealed.path, sealed.content_hash
+            file.size_bytes, file.sha256 = sealed.size_bytes, sealed.sha256
+
+
+def _shifted(sensor: Sensor, by_mm: float) -> Sensor:
+    """Return a sensor that stands beside where it stood."""
+    x, y, z = sensor.pose.translation
+    return replace(sensor, pose=replace(sensor.pose, translation=(x + by_mm, y, z)))
 
 
 def _first_tiles(web: Served, numbers: Sequence[int]) -> list[float]:
@@ -174,6 +220,7 @@ def measure(run: Run) -> Iterator[Found]:
 
 def _measured(run: Run, services: Services, home: Path, side: int, filled: str) -> Iterator[Found]:
     numbers = _fields(services, side)
+    _calibrations(services)
     addresses, program = _addresses(services, numbers), find_browser()
     seconds = _QUICK_SECONDS if run.quick else _SECONDS
     with served(home) as web:

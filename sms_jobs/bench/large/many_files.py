@@ -55,6 +55,8 @@ STATES = 100
 CAMPAIGNS = 5
 """With one calibration."""
 BEGUN = datetime(2020, 1, 1, tzinfo=UTC)
+RIG = "rig"
+"""Of all campaigns."""
 PARAMETERS = frozenset({"gauge_length_mm", "method"})
 
 _STATE = len(KINDS) * len(VIEWS)
@@ -147,7 +149,7 @@ def fill(catalogue: Catalogue, files: int, say: Callable[[str], None] = lambda t
 
 
 def _rows_above(session: Session, campaigns: int, calibrations: int) -> None:
-    session.add(RigRow(id=1, name="rig"))
+    session.add(RigRow(id=1, name=RIG))
     session.add(SpecimenRow(id=1, name="specimen", material="", description=""))
     session.flush()
     for key in range(1, calibrations + 1):
