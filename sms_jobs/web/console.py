@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -21,7 +22,8 @@ from sms_jobs.app.work import happenings
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import SmsError
 from sms_jobs.records.people import Right
-from sms_jobs.web import identity, refusals
+from sms_jobs.web import identity, pacing, refusals
+from sms_jobs.web.following import Follower
 from sms_jobs.web.identity import COOKIE
 from sms_jobs.web.rendering import rendered
 
@@ -95,6 +97,7 @@ class PageRequest:
     """
 
     def __init__(self, request: Request) -> None:
+        self._begun = time.monotonic()
         self.services: Services = identity.services_for(request)
         self._request = request
         # Taken before anything is read for the page: what happens from then on is told to it.
@@ -105,7 +108,10 @@ class PageRequest:
     def render(self, template: str, **shown: Any) -> HTMLResponse:
         """Return the page that a template makes of what is shown."""
         given = frame(self._request, self.services, self._heard_until)
-        return HTMLResponse(rendered(template, **given, **shown))
+        made = rendered(template, **given, **shown)
+        follower: Follower = self._request.app.state.follower
+        rest = pacing.rest_s(time.monotonic() - self._begun, follower.listeners)
+        return HTMLResponse(made, headers={pacing.REST_HEADER: f"{1e3 * rest:.0f}"})
 
 
 Page = Annotated[PageRequest, Depends(PageRequest)]

@@ -4,8 +4,9 @@ import { API, logInAgain } from "./asking.js";
 import { localTimes } from "./times.js";
 
 const GATHERED_MS = 50, LONGEST_PAUSE_MS = 15000, SILENT_MS = 40000;
-// While things happen all the time, a page is fetched again only after this many times what fetching it took.
-const REST = 20, SHORTEST_REST_MS = 300, LONGEST_REST_MS = 3000;
+// The first event is shown at once. While things happen all the time, a page then rests for as long as the server
+// says with each answer (`pacing.py`), and for this long after one that did not say.
+const REST_MS = 3000;
 
 /** Keep the live regions of a document as the server has them. */
 export function follow(document) {
@@ -16,9 +17,10 @@ export function follow(document) {
   async function refresh() {
     if (busy) { again = true; return; }
     busy = true;
-    const began = performance.now();
+    let rest = REST_MS;
     try {
       const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
+      rest = Number(answer.headers.get("X-Rest-Ms") ?? REST_MS);
       if (answer.redirected && new URL(answer.url).pathname === "/login") { logInAgain(); return; }
       if (!answer.ok) { away(answer.status >= 500 ? "The server cannot answer now" : "This page is gone"); return; }
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
@@ -31,8 +33,7 @@ export function follow(document) {
       away("The server does not answer");
     } finally {
       busy = false;
-      const now = performance.now();
-      rested = now + Math.min(Math.max(REST * (now - began), SHORTEST_REST_MS), LONGEST_REST_MS);
+      rested = performance.now() + rest;
       if (again) { again = false; soon(); }
     }
   }
