@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.drawing.colours import GREYS, VALUES, coloured
 from sms_jobs.records.quantity import XYZ, Quantity, quantities, quantities_of
 from sms_jobs.records.reasons import Reason
 
@@ -167,12 +168,10 @@ def draw_map(image: Map, width_px: int = 640) -> bytes:
 
 def colours_as_png(values: NDArray[Any], unit: str) -> bytes:
     """Return a scalar (rows, columns) as PNG with a pixel for each value: missing ones grey, no frame."""
-    import matplotlib
     from PIL import Image
 
     low, high = robust_limits(values)
-    colours = matplotlib.colormaps[GREY_LEVELS if unit == "count" else COLOUR_MAP]
-    shown = colours((values - low) / (high - low), bytes=True)[..., :3]
+    shown = coloured((values - low) / (high - low), GREYS if unit == "count" else VALUES)
     shown[~np.isfinite(values)] = round(255 * float(MISSING_COLOUR))
     out = io.BytesIO()
     Image.fromarray(shown).save(out, format="PNG", compress_level=1)

@@ -91,7 +91,7 @@ def test_one_that_cannot_be_read_is_told_and_the_others_are_compared(
     (why,) = found.unread
     assert path in why
     with serving(home) as site:
-        page = httpx2.get(f"{site}/calibrations")
+        page = httpx2.get(f"{site}/calibrations", timeout=60.0)
     assert page.status_code == 200
     assert f"Not compared: {why}" in unescape(page.text)
 

@@ -6,23 +6,20 @@ have moved against each other, after the rigid motion that brings both worlds to
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from datetime import datetime
-from math import isfinite
-from typing import NamedTuple
 
+from sms_jobs.app.calibrating.compared_pairs import ComparedPairs
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.records.people import Right
-from sms_jobs.records.shown.files import CalibrationView
 
-_MOST, _KEPT = 12, 1000
+_MOST = 12
 _MICROMETRES = 1e3
 _SECONDS_A_DAY = 86400.0
+_COMPARED = ComparedPairs()
 
 
 @dataclass(frozen=True)
@@ -79,77 +76,17 @@ def drift(services: Services, rig: str) -> Drift:
         found = search.list_calibrations(session, rig, _MOST)[::-1]
     if not found:
         return Drift(rig, None, None, ())
-    first, unread = found[0], dict[str, bool]()
+    first, later = found[0], found[1:]
+    compared = _COMPARED.of(services, first, later)
     moved: list[Moved] = []
-    for one in found[1:]:
-        try:
-            pairs = _COMPARED.of(services, first, one)
-        except (ArchiveCorrupt, NotFound, OtherFormat) as error:
-            unread[str(error)] = True
-            continue
-        moved += [Moved(one.id, one.valid_from, *pair) for pair in pairs]
+    unread: dict[str, bool] = {}
+    for one in later:
+        told = compared[one.id]
+        if isinstance(told, str):
+            unread[told] = True
+        else:
+            moved += [Moved(one.id, one.valid_from, *pair) for pair in told]
     return Drift(rig, first.id, first.valid_from, tuple(moved), tuple(unread))
-
-
-class _Pair(NamedTuple):
-    """What `Moved` tells of a view, whichever numbers the calibrations have."""
-
-    view: str
-    rms_mm: float
-    expected_mm: float | None
-    verdict: str
-
-
-def _compared(services: Services, first: CalibrationView, one: CalibrationView) -> tuple[_Pair, ...]:
-    """Read two calibrations and compare them, view by view; nothing where they are of other sensors."""
-    from sms_jobs.jobs.archiving import calibrations
-
-    try:
-        changed, _ = calibrations.compare(services.catalogue, services.archive, first.id, one.id, None)
-    except InvalidInput:
-        return ()
-    return tuple(
-        _Pair(
-            f"{pair.camera}{pair.projector}",
-            pair.aligned_rms_mm,
-            pair.expected_aligned_rms_mm if isfinite(pair.expected_aligned_rms_mm) else None,
-            changed.verdict,
-        )
-        for pair in changed.pairs
-    )
-
-
-class _Compared:
-    """Comparisons by what was sealed, which never changes: the page is opened again and again.
-
-    A file that is gone or of another size is read, which says so. What else may be wrong with it is found by
-    those who read or verify it.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._found: dict[tuple[str, str], tuple[_Pair, ...]] = {}
-
-    def of(self, services: Services, first: CalibrationView, one: CalibrationView) -> tuple[_Pair, ...]:
-        """Return what `_compared` returned for these contents; what it raises is tried again next time."""
-        hashes = (first.content_hash, one.content_hash)
-        with self._lock:
-            known = self._found.get(hashes)
-        if known is not None and all(_is_there(services, view) for view in (first, one)):
-            return known
-        known = _compared(services, first, one)
-        with self._lock:
-            self._found[hashes] = known
-            if len(self._found) > _KEPT:
-                del self._found[next(iter(self._found))]
-        return known
-
-
-def _is_there(services: Services, view: CalibrationView) -> bool:
-    return services.archive.size(view.path) == view.size_bytes
-
-
-_COMPARED = _Compared()
 
 
 def drift_chart(found: Drift) -> str:

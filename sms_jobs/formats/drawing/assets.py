@@ -9,16 +9,15 @@ import json
 from functools import cache
 from importlib.resources import files
 
-import numpy as np
+from sms_jobs.formats.drawing.colours import colours_text
 
 _SCRIPTS = ("unpacking.js", "maps.js", "space.js", "following.js")
-_COLOURS = 256
 
 
 @cache
 def drawing_script() -> str:
     """Return the script: colours, maps, surfaces in space, charts over the states."""
-    return "\n".join([f"const COLOUR_MAPS = {_colour_maps()};", *map(_resource, _SCRIPTS)])
+    return "\n".join([f"const COLOUR_MAPS = {_compact(colours_text())};", *map(_resource, _SCRIPTS)])
 
 
 @cache
@@ -31,17 +30,5 @@ def _resource(name: str) -> str:
     return files("sms_jobs.formats.drawing").joinpath(name).read_text(encoding="utf-8")
 
 
-def _colour_maps() -> str:
-    """Return the colours of maps, six letters each, for the script."""
-    import matplotlib
-
-    numbers = np.linspace(0.0, 1.0, _COLOURS)
-    found = {
-        name: matplotlib.colormaps[given](numbers, bytes=True)[:, :3].tobytes().hex()
-        for name, given in (("viridis", "viridis"), ("bluered", "coolwarm"), ("grey", "gray"))
-    }
-    # The first is of what is valid.
-    found["groups"] = (
-        "ebebeb" + matplotlib.colormaps["tab20"](np.arange(20), bytes=True)[:, :3].tobytes().hex()
-    )
-    return json.dumps(found)
+def _compact(text: str) -> str:
+    return json.dumps(json.loads(text))
