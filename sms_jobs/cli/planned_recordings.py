@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
@@ -370,16 +371,20 @@ def move(
 
 @app.command()
 def drop(campaign: CampaignArgument, states: States = None, home: Home = None) -> None:
-    """Forget the plan of a campaign, or some of its states. What was recorded stays.
+    """Forget the plan of a campaign, or some of its states. What was recorded stays, and what runs goes on.
 
     Example: sms acquire plan drop wing-fatigue
     """
     with bootstrap.services(home) as services:
-        dropped = planned_recordings.drop(services, campaign, tuple(states or ()))
-    output.say(f"forgotten: {_listed(dropped)}")
+        done = planned_recordings.drop(services, campaign, tuple(states or ()))
+    output.say(f"forgotten: {_listed(done.forgotten)}")
+    if done.recorded:
+        output.say(f"recorded, and stays: {_listed(done.recorded)}")
+    if done.running:
+        output.say(f"being recorded, and goes on: {_listed(done.running)}")
 
 
-def _listed(states: list[str]) -> str:
+def _listed(states: Sequence[str]) -> str:
     return ", ".join(states) or "nothing"
 
 

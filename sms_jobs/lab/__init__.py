@@ -21,6 +21,7 @@ from sms_jobs.app.work.jobs import Submitted, Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.lab.datasets import MISSING, dataset_of
+from sms_jobs.lab.recording_plans import RecordingPlans
 from sms_jobs.lab.source import Home, Source
 from sms_jobs.records.shown.files import FileView, Found
 from sms_jobs.records.shown.runs import Difference
@@ -270,6 +271,11 @@ class Lab:
     def drop_frame(self, campaign: str) -> FrameOf:
         """Take the specimen's frame away again; raises `NotFound` where the campaign has none."""
         return self._source.drop_frame(campaign)
+
+    @property
+    def recordings(self) -> RecordingPlans:
+        """The plans of recordings, as `sms acquire plan` has them."""
+        return RecordingPlans(self._source)
 
     def submit(
         self,

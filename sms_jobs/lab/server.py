@@ -17,6 +17,7 @@ from pydantic import TypeAdapter
 
 from sms_jobs.app.holdings import reading
 from sms_jobs.app.holdings.reading import RecordParts, StoredRecord
+from sms_jobs.app.measuring.plan_wishes import PlanWish
 from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.app.specimens.specimen_frames import FrameOf
 from sms_jobs.app.work.jobs import Explanation, Refusal, Submitted, Work
@@ -25,6 +26,7 @@ from sms_jobs.lab.connection import Connection
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.records.shown.files import FileView, Found, Page
+from sms_jobs.records.shown.planned_recordings import Dropped, PlannedRecording
 from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import FoundState, StatePage
 from sms_jobs.records.specimen_frame import SpecimenFrame
@@ -35,12 +37,15 @@ _WAIT_S = 25.0
 _AT_ONCE = 200
 """Jobs that are named in one request."""
 
+_PLANNED = "/recordings/planned"
+
 _CAMPAIGN = TypeAdapter(Campaign)
 _FILE = TypeAdapter(FileView)
 _PARTS = TypeAdapter(RecordParts)
 _ESTIMATE = TypeAdapter(Estimate)
 _COMPARISON = TypeAdapter(RunComparison)
 _FRAME = TypeAdapter(SpecimenFrame)
+_PLAN = TypeAdapter(list[PlannedRecording])
 
 
 class Server:
@@ -156,6 +161,42 @@ class Server:
         """Return what differs between two runs."""
         where = f"/runs/{quote(before, safe='')}/compare"
         return _COMPARISON.validate_python(self._connection.get(where, {"with": after}))
+
+    def plan_recordings(self, campaign: str, wish: PlanWish) -> list[PlannedRecording]:
+        """Plan recordings; return the whole plan."""
+        return _PLAN.validate_python(self._connection.post(_PLANNED, {"campaign": campaign} | asdict(wish)))
+
+    def planned_recordings(self, campaign: str | None) -> list[PlannedRecording]:
+        """Return the plan of a campaign, or all with something left."""
+        asked = {} if campaign is None else {"campaign": campaign}
+        return _PLAN.validate_python(self._connection.get(_PLANNED, asked))
+
+    def hold_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Hold planned recordings back; return which."""
+        return list(self._of_plan("hold", campaign, states)["held"])
+
+    def release_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Let recordings that were held back go on; return which."""
+        return list(self._of_plan("go", campaign, states)["going"])
+
+    def skip_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Leave planned recordings out; return which."""
+        return list(self._of_plan("skip", campaign, states)["skipped"])
+
+    def move_recording(self, campaign: str, state: str, before: str | None) -> None:
+        """Let a planned recording come before another one, or last."""
+        body = {"campaign": campaign, "state": state, "before": before}
+        self._connection.post(f"{_PLANNED}/move", body)
+
+    def drop_recordings(self, campaign: str, states: Sequence[str]) -> Dropped:
+        """Forget planned recordings."""
+        told = self._of_plan("drop", campaign, states)
+        return Dropped(tuple(told["dropped"]), tuple(told["recorded"]), tuple(told["running"]))
+
+    def _of_plan(self, action: str, campaign: str, states: Sequence[str]) -> dict[str, Any]:
+        body = {"campaign": campaign, "states": list(states)}
+        done: dict[str, Any] = self._connection.post(f"{_PLANNED}/{action}", body)
+        return done
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""

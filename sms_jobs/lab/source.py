@@ -12,6 +12,8 @@ from sms_jobs import bootstrap
 from sms_jobs.app.holdings import finding, reading
 from sms_jobs.app.holdings.finding_states import find_states
 from sms_jobs.app.holdings.reading import StoredRecord
+from sms_jobs.app.measuring import planned_recordings
+from sms_jobs.app.measuring.plan_wishes import PlanWish
 from sms_jobs.app.specimens import campaigns, specimen_frames
 from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.app.specimens.specimen_frames import FrameOf
@@ -20,6 +22,7 @@ from sms_jobs.app.work.jobs import Explanation, Submitted, Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.files import Page
+from sms_jobs.records.shown.planned_recordings import Dropped, PlannedRecording
 from sms_jobs.records.shown.portion import Portion
 from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import StatePage
@@ -64,6 +67,27 @@ class Source(Protocol):
 
     def compare_runs(self, before: str, after: str) -> RunComparison:
         """Return what differs between two runs."""
+
+    def plan_recordings(self, campaign: str, wish: PlanWish) -> list[PlannedRecording]:
+        """Plan recordings; return the whole plan."""
+
+    def planned_recordings(self, campaign: str | None) -> list[PlannedRecording]:
+        """Return the plan of a campaign, or all with something left."""
+
+    def hold_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Hold planned recordings back; return which."""
+
+    def release_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Let recordings that were held back go on; return which."""
+
+    def skip_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Leave planned recordings out; return which."""
+
+    def move_recording(self, campaign: str, state: str, before: str | None) -> None:
+        """Let a planned recording come before another one, or last."""
+
+    def drop_recordings(self, campaign: str, states: Sequence[str]) -> Dropped:
+        """Forget planned recordings."""
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""
@@ -142,6 +166,42 @@ class Home:
     def compare_runs(self, before: str, after: str) -> RunComparison:
         """Return what differs between two runs."""
         return run_comparison.compare_runs(self._services, before, after)
+
+    def plan_recordings(self, campaign: str, wish: PlanWish) -> list[PlannedRecording]:
+        """Plan recordings; return the whole plan."""
+        return planned_recordings.plan(
+            self._services,
+            campaign,
+            wish.when,
+            wish.states,
+            ask=wish.ask,
+            process=wish.process,
+            look=wish.looked_at,
+        )
+
+    def planned_recordings(self, campaign: str | None) -> list[PlannedRecording]:
+        """Return the plan of a campaign, or all with something left."""
+        return planned_recordings.show(self._services, campaign)
+
+    def hold_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Hold planned recordings back; return which."""
+        return planned_recordings.hold(self._services, campaign, states)
+
+    def release_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Let recordings that were held back go on; return which."""
+        return planned_recordings.go(self._services, campaign, states)
+
+    def skip_recordings(self, campaign: str, states: Sequence[str]) -> list[str]:
+        """Leave planned recordings out; return which."""
+        return planned_recordings.skip(self._services, campaign, states)
+
+    def move_recording(self, campaign: str, state: str, before: str | None) -> None:
+        """Let a planned recording come before another one, or last."""
+        planned_recordings.move(self._services, campaign, state, before)
+
+    def drop_recordings(self, campaign: str, states: Sequence[str]) -> Dropped:
+        """Forget planned recordings."""
+        return planned_recordings.drop(self._services, campaign, states)
 
     def wait(self, job: Submitted | str, timeout_s: float | None) -> Waited:
         """Return how jobs ended, once all have."""

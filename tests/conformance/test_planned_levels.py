@@ -219,7 +219,7 @@ def test_what_was_changed_meanwhile_adds_nothing(stepped: Catalogue, archive: Ar
         planned_recordings.put(session, "plate", [("S01", InTurn())], "anna", NOW)
     assert late()  # states that are planned come first
     with stepped.writing() as session:
-        assert planned_recordings.drop(session, "plate", []) == ["S01", "S02"]
+        assert planned_recordings.drop(session, "plate", []).forgotten == ("S01", "S02")
     assert late()
     plan(stepped, at=NOW.replace(year=2027))
     measured(stepped, "S00", 10_100.0)
@@ -380,7 +380,7 @@ def test_a_plan_of_levels_alone_is_shown_and_dropped(stepped: Catalogue) -> None
         for change in (planned_recordings.skip, planned_recordings.drop):
             with pytest.raises(NotFound, match="S02 of plate is not there before its load is held: name no"):
                 change(session, "plate", ["S02"])
-        assert planned_recordings.drop(session, "plate", []) == ["S02"]
+        assert planned_recordings.drop(session, "plate", []).forgotten == ("S02",)
         assert not planned_recordings.anything_open(session)
         with pytest.raises(NotFound, match="nothing is planned of plate"):
             planned_recordings.drop(session, "plate", [])

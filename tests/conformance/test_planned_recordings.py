@@ -24,7 +24,7 @@ from sms_jobs.jobs.recording.recordings import requests
 from sms_jobs.records import triggers
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import JobState
-from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.shown.planned_recordings import Dropped, PlannedRecording
 from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -201,13 +201,13 @@ def test_the_plan_is_held_moved_and_dropped_while_it_goes_on(test_plan: Catalogu
     with test_plan.reading() as session:
         assert due_recordings.due(session) == []  # one that is held keeps those behind it back
     with test_plan.writing() as session:
-        assert planned_recordings.drop(session, "wing", ["S01"]) == ["S01"]
+        assert planned_recordings.drop(session, "wing", ["S01"]) == Dropped(("S01",))
         assert planned_recordings.set_held(session, "wing", [], True) == ["S02", "S03"]
         assert planned_recordings.set_held(session, "wing", [], False) == ["S02", "S03"]
     assert due(test_plan).label == "S02"
     begin(test_plan)
     with test_plan.writing() as session:
-        assert planned_recordings.drop(session, "wing", []) == ["S00", "S03"]
+        assert planned_recordings.drop(session, "wing", []) == Dropped(("S03",), ("S00",), ("S02",))
     assert statuses(test_plan) == {"S02": "queued"}
 
 

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,17 @@ from support.serving import serving
 
 import sms_jobs
 from sms_jobs import bootstrap
+from sms_jobs.app.specimens import campaigns
 from sms_jobs.app.work import jobs
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import ConfigurationError, InvalidInput, JobFailed, NotFound, WaitTimedOut
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.lab import Lab
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.shown.planned_recordings import Dropped
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text("utf-8"), re.M | re.S)
@@ -192,6 +197,38 @@ def test_a_job_that_does_not_succeed_is_an_error(lab: Lab, folder: Path) -> None
     with pytest.raises(JobFailed, match="the last was strain"):
         lab.wait(done)
     assert "cancelled" in lab.explain(done.job_ids[0])
+
+
+def test_a_plan_of_recordings_is_made_changed_and_forgotten(lab: Lab, folder: Path) -> None:
+    # The plan is gone at the end, as it was before.
+    with bootstrap.services(folder / "sms-demo") as services:
+        if "plate" not in campaigns.names(services):
+            calibration, plate = small_plate("plate")
+            register_campaign(services.catalogue, services.archive, plate, calibration, datetime.now(UTC))
+    plans = lab.recordings
+    made = plans.plan("plate", ["S00", "S01"], every_s=900.0, process=True)
+    assert [(one.state, one.status, one.is_next) for one in made] == [
+        ("S00", "planned", True),
+        ("S01", "planned", False),
+    ]
+    assert "15 min" in made[0].trigger
+    assert plans.hold("plate") == ["S00", "S01"]
+    assert plans.go("plate", ["S01"]) == ["S01"]
+    plans.move("plate", "S01", before="S00")
+    assert [(one.state, one.status) for one in plans.show("plate")] == [("S01", "planned"), ("S00", "held")]
+    assert [one.campaign for one in plans.show()] == ["plate", "plate"]
+    assert plans.skip("plate") == ["S01"]
+    assert plans.drop("plate", ["S01"]) == Dropped(("S01",))
+    assert plans.drop("plate") == Dropped(("S00",))
+    assert plans.show() == []
+    with pytest.raises(NotFound, match="nothing is planned of plate"):
+        plans.drop("plate")
+    with pytest.raises(InvalidInput, match="give one thing to wait for"):
+        plans.plan("plate", every_s=900.0, at_cycles=[1000, 2000])
+    with pytest.raises(InvalidInput, match="every_s"):
+        plans.plan("plate", every_s=0.1)
+    with pytest.raises(NotFound, match="there is no campaign 'gone'"):
+        plans.show("gone")
 
 
 @pytest.mark.parametrize("package", ["pandas", "xarray"])

@@ -15,7 +15,7 @@ from sms_jobs.jobs.recording import planned_levels, planned_recordings, shown_pl
 from sms_jobs.records.gauge_limits import NO_LOOK, GaugeLimit, Look
 from sms_jobs.records.levels import Levels
 from sms_jobs.records.people import Right
-from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.shown.planned_recordings import Dropped, PlannedRecording
 from sms_jobs.records.triggers import Counted, Every, Holding, InTurn, Trigger
 from sms_jobs.records.units import Typed, in_unit_of_name
 
@@ -297,10 +297,11 @@ def move(services: Services, campaign: str, state: str, before: str | None = Non
 
 
 @use_case(Right.RECORD)
-def drop(services: Services, campaign: str, states: Sequence[str] = ()) -> list[str]:
-    """Forget recordings of a plan, or all that do not run, and return their states.
+def drop(services: Services, campaign: str, states: Sequence[str] = ()) -> Dropped:
+    """Forget recordings of a plan, or all that do not run, and return which, and what stays.
 
-    What was recorded stays, and so do states that were added; raises as `skip` does.
+    What was recorded stays, and so do states that were added; raises as `skip` does, but not for one that is
+    recorded.
     """
     with services.catalogue.writing() as session:
         return planned_recordings.drop(session, campaign, states)

@@ -23,7 +23,7 @@ from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.records import triggers
 from sms_jobs.records.gauge_limits import NO_LOOK, Look
 from sms_jobs.records.job import SHORT_ID, JobState
-from sms_jobs.records.shown.planned_recordings import Status
+from sms_jobs.records.shown.planned_recordings import Dropped, Status
 from sms_jobs.records.triggers import Trigger
 
 _OPEN = (Status.PLANNED.value, Status.BEGUN.value)
@@ -44,10 +44,15 @@ class Planned(NamedTuple):
     job: JobRow | None
 
     @property
+    def is_recorded(self) -> bool:
+        """Whether it is recorded, noted in its row or not yet."""
+        done = self.job is not None and self.job.state is JobState.SUCCEEDED
+        return self.row.status == Status.RECORDED.value or done
+
+    @property
     def is_open(self) -> bool:
         """Whether it is neither recorded nor skipped."""
-        done = self.job is not None and self.job.state is JobState.SUCCEEDED
-        return self.row.status in _OPEN and not done
+        return self.row.status in _OPEN and not self.is_recorded
 
 
 def planned(session: Session, campaigns: Collection[int]) -> list[Planned]:
@@ -218,27 +223,33 @@ def skip(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
     return _each(session, campaign, chosen, leave_out, "skipped")
 
 
-def drop(session: Session, campaign: str, labels: Collection[str]) -> list[str]:
+def drop(session: Session, campaign: str, labels: Collection[str]) -> Dropped:
     """Forget some recordings of a plan, or all that do not run, and levels; nothing recorded is lost.
 
     Raises as `skip` does.
     """
     number = lock(session, campaign)
+    running: list[str] = []
+    recorded: list[str] = []
 
     def forget(one: Planned) -> bool:
         if one.job is not None and one.job.state in _RUNS:
             if labels:
                 raise Conflict(why_not(one))
+            running.append(one.label)
             return False
+        if one.is_recorded:
+            recorded.append(one.label)
         session.delete(one.row)
         return True
 
     dropped = _each(session, campaign, labels, forget, "dropped")
-    if labels:
-        return dropped
-    levels = planned_levels.drop(session, number)
-    changes.of_recordings(session, campaign, levels, "dropped")
-    return [*dropped, *levels]
+    forgotten = [label for label in dropped if label not in recorded]
+    if not labels:
+        levels = planned_levels.drop(session, number)
+        changes.of_recordings(session, campaign, levels, "dropped")
+        forgotten += levels
+    return Dropped(tuple(forgotten), tuple(recorded), tuple(running))
 
 
 def move(session: Session, campaign: str, label: str, before: str | None) -> None:

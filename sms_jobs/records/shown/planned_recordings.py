@@ -68,3 +68,22 @@ class PlannedRecording:
     stop_if: tuple[str, ...]
     stopped_by: str
     is_added: bool = False
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """What became of a plan that was forgotten, or of some of its states.
+
+    Attributes
+    ----------
+    forgotten
+        States that are not recorded by it any more.
+    recorded
+        Those that it has recorded; what was recorded stays, and the plan lists them no longer.
+    running
+        Those that are being recorded, which go on and stay in the plan.
+    """
+
+    forgotten: tuple[str, ...]
+    recorded: tuple[str, ...] = ()
+    running: tuple[str, ...] = ()

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Annotated, Any
 
 from fastapi import Query
 from pydantic import Field
 
 from sms_jobs.app.measuring import planned_recordings, quick_looks
-from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLevels, AtLoad, InTime, When
-from sms_jobs.errors import InvalidInput
-from sms_jobs.records.gauge_limits import Look, gauge_limit
+from sms_jobs.app.measuring.plan_wishes import LONGEST_EVERY_S, LONGEST_HOLD_S, MOST_COUNTS, PlanWish
 from sms_jobs.records.shown.planned_recordings import PlannedRecording
 from sms_jobs.records.shown.quick_looks import QuickLookView
-from sms_jobs.records.units import typed
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.request_bodies import RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer
@@ -32,9 +28,9 @@ class NewPlan(RequestBody):
     states: Annotated[
         Texts, Field(description="Labels; all that are not recorded, planned or skipped if not given.")
     ] = []
-    every_s: Annotated[float | None, Field(ge=1, le=30 * 86400, description="One after so many seconds.")] = (
-        None
-    )
+    every_s: Annotated[
+        float | None, Field(ge=1, le=LONGEST_EVERY_S, description="One after so many seconds.")
+    ] = None
     channel: Annotated[
         Text | None, Field(description="Whose value at a state is waited for; with `at_cycles`, that counts.")
     ] = None
@@ -50,10 +46,10 @@ class NewPlan(RequestBody):
     ] = None
     at_cycles: Annotated[
         list[Count] | None,
-        Field(min_length=1, max_length=1000, description="Numbers of cycles, a state at each."),
+        Field(min_length=1, max_length=MOST_COUNTS, description="Numbers of cycles, a state at each."),
     ] = None
     hold_s: Annotated[
-        float, Field(ge=0, le=86400, description="How long the channel must have stayed there.")
+        float, Field(ge=0, le=LONGEST_HOLD_S, description="How long the channel must have stayed there.")
     ] = 5.0
     ask: Annotated[bool, Field(description="Ask an operator about a doubtful set.")] = False
     process: Annotated[bool, Field(description="Process each state once it is recorded.")] = False
@@ -67,35 +63,13 @@ class NewPlan(RequestBody):
     ] = []
 
     @property
-    def looked_at(self) -> Look:
-        """Whether there are quick looks, and which limits hold the plan; `InvalidInput` for anything else."""
-        limits = tuple(gauge_limit(text, "stop_if") for text in self.stop_if)
-        return Look(self.look or bool(limits), limits)
-
-    @property
-    def when(self) -> When:
-        """What is waited for; raises `InvalidInput` for several things, or half of one."""
-        at_load = self.channel is not None and self.at_cycles is None
-        if [at_load, self.at_cycles is not None, self.every_s is not None].count(True) > 1:
-            raise InvalidInput("give one thing to wait for: every_s, at_cycles, or channel with tolerance")
-        if self.each is not None and not at_load:
-            raise InvalidInput("each goes with channel and tolerance, and without at_cycles: leave it out")
-        if at_load is (self.tolerance is None):
-            raise InvalidInput(
-                "channel and tolerance go together, and without at_cycles: state how near the channel "
-                "must be "
-                "to a state's value, such as 500N"
-            )
-        if self.at_cycles is not None:
-            if any(later <= earlier for earlier, later in pairwise(self.at_cycles)):
-                raise InvalidInput("at_cycles: each number should exceed the one before")
-            return AtCycles(tuple(self.at_cycles), self.channel or "cycles", self.hold_s)
-        if self.channel is not None and self.tolerance is not None and self.each is not None:
-            each, tolerance = typed(self.each, "each"), typed(self.tolerance, "tolerance")
-            return AtLevels(self.channel, each, tolerance, self.hold_s)
-        if self.channel is not None and self.tolerance is not None:
-            return AtLoad(self.channel, typed(self.tolerance, "tolerance"), self.hold_s)
-        return InTime(self.every_s)
+    def wish(self) -> PlanWish:
+        """The same without the campaign."""
+        given = self.model_dump(exclude={"campaign"})
+        at_cycles = None if self.at_cycles is None else tuple(self.at_cycles)
+        return PlanWish(
+            **given | {"states": tuple(self.states), "at_cycles": at_cycles, "stop_if": tuple(self.stop_if)}
+        )
 
 
 class PlannedStates(RequestBody):
@@ -135,14 +109,15 @@ def looks(services: Acting, campaign: Annotated[Text, Query(description="Of this
 )
 def plan(services: Acting, body: NewPlan) -> Any:
     """Plan recordings."""
+    wish = body.wish
     found = planned_recordings.plan(
         services,
         body.campaign,
-        body.when,
-        body.states,
-        ask=body.ask,
-        process=body.process,
-        look=body.looked_at,
+        wish.when,
+        wish.states,
+        ask=wish.ask,
+        process=wish.process,
+        look=wish.looked_at,
     )
     return answer(found, 201)
 
@@ -175,4 +150,5 @@ def move(services: Acting, body: Moved) -> Any:
 @ROUTES.offer("POST", "/recordings/planned/drop", planned_recordings.drop, answers=dict[str, int | list[str]])
 def drop(services: Acting, body: PlannedStates) -> Any:
     """Forget a plan, or some of its states."""
-    return answer({"dropped": planned_recordings.drop(services, body.campaign, body.states)})
+    done = planned_recordings.drop(services, body.campaign, body.states)
+    return answer({"dropped": done.forgotten, "recorded": done.recorded, "running": done.running})

@@ -23,7 +23,7 @@ from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices import locks
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.job import JobState
-from sms_jobs.records.shown.planned_recordings import PlannedRecording
+from sms_jobs.records.shown.planned_recordings import Dropped, PlannedRecording
 from sms_jobs.records.units import typed
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.workers.planner import Planner
@@ -168,7 +168,7 @@ def test_a_plan_that_is_held_back_or_dropped_adds_nothing(
     assert following(services).status == "held"
     assert planned_recordings.go(services, "wing") == ["S01"]
     assert stays(10.0, 60.0) == ["S01"]
-    assert planned_recordings.drop(services, "wing") == ["S01", "S02"]
+    assert planned_recordings.drop(services, "wing") == Dropped(("S02",), recorded=("S01",))
     assert stays(20.0, 60.0) == []
     assert (list(states(services)), planned_recordings.show(services, "wing")) == (["S00", "S01"], [])
 
