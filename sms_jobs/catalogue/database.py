@@ -193,6 +193,12 @@ class Catalogue:
                     "written, which may be there or not; run 'sms doctor'"
                 ) from error
 
+    def keep_pages(self, kilobytes: int) -> None:
+        """Let each connection to SQLite that is opened from now on keep at most so much of the file."""
+        if self.dialect == "sqlite":
+            statement = f"PRAGMA cache_size = {-kilobytes}"
+            event.listen(self.engine, "connect", lambda connection, _: connection.execute(statement).close())
+
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()

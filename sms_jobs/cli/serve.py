@@ -46,6 +46,7 @@ def serve(
     # Which takes a second; no other command needs it.
     import uvicorn
 
+    from sms_jobs.web import memory
     from sms_jobs.web.application import application
     from sms_jobs.web.connections import PromptProtocol
     from sms_jobs.web.protection import Options
@@ -64,6 +65,7 @@ def serve(
     hosts = names | frozenset((*_LOOPBACK, address)) if local or names else frozenset()
     output.log_to_stderr()
     with bootstrap.services(home, "web") as services:
+        memory.share(services)
         if not (local and not behind_proxy) and not people.has_people(services):
             raise InvalidInput(
                 "nobody has a name here, so that everybody on the network could do everything; "
