@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,6 +12,7 @@ from fastapi.responses import HTMLResponse
 from sms_jobs.app.measuring import recordings
 from sms_jobs.app.specimens import campaign_matrix, campaigns
 from sms_jobs.app.work import jobs, kinds
+from sms_jobs.bootstrap import Services
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.web.console import Entry, Page, Pages
@@ -24,7 +25,7 @@ _PICTURES = 24
 _STATES = 50
 """That are shown at once: a page that is fetched again and again has to be quick."""
 _DATASET = "application/x-hdf5"
-_REMAINING: Shared[jobs.Remaining] = Shared()
+_REMAINING: Shared[jobs.Remaining] = Shared(fresh_s=10.0)
 
 
 @dataclass(frozen=True)
@@ -85,12 +86,21 @@ def show(
         first=first,
         before=max(1, first - _STATES) if first > 1 else None,
         after=first + _STATES if first + _STATES <= len(every) else None,
-        remaining=_REMAINING.of((services.settings.home, name), lambda: jobs.remaining(services, name)),
+        remaining=_remaining(services, name, story.jobs),
         running=jobs.list_jobs(services, campaign=name, states=[JobState.RUNNING], limit=20),
         kinds=offered,
         everything=kinds.EVERYTHING,
         kind=next((one for one in offered if one.name == kind), None),
     )
+
+
+def _remaining(services: Services, name: str, counted: Mapping[str, int]) -> jobs.Remaining:
+    """Return how the jobs of a campaign come along, estimated again once a state has other numbers of them.
+
+    While nobody's number changes an estimate differs by the seconds that have passed.
+    """
+    known_by = (services.settings.home, name, tuple(sorted(counted.items())))
+    return _REMAINING.of(known_by, lambda: jobs.remaining(services, name))
 
 
 def matrix(cells: Sequence[Cell], states: Sequence[str], order: Sequence[str]) -> Matrix:
