@@ -27,6 +27,7 @@ WITHOUT_ADDRESS = {
     "calibrations.show": PART,  # GET /calibrations/{number}
     "campaigns.definition": PART,  # GET /campaigns/{name}
     "campaigns.names": PART,  # GET /campaigns
+    "campaigns.overview": PART,  # GET /campaigns/{name}
     "database.back_up": AT_THE_SERVER,
     "database.copy": AT_THE_SERVER,
     "demo.run": AT_THE_SERVER,
