@@ -260,7 +260,11 @@ def _measured(run: Run, services: Services, home: Path, side: int, filled: str) 
         f"it, 95 % of {len(delays.to_page)} jobs, one every second or so; median "
         f"{median(delays.to_page):.0f} ms, of which {median(delays.to_stream):.0f} ms to a client of /events",
     )
-    yield Condition("rss", f"of the process that serves, after these clients: {rss:.0f} MB")
+    yield Condition(
+        "rss",
+        f"of the process that serves, after these clients: {rss:.0f} MB; calibrations were compared in "
+        "another one, which has ended",
+    )
 
 
 GROUP = Group("web", "the interface over HTTP", lambda: None, measure)
