@@ -2,12 +2,12 @@
 
 from alembic import context
 
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.every import METADATA
 
 connection = context.config.attributes["connection"]
 context.configure(
     connection=connection,
-    target_metadata=Table.metadata,
+    target_metadata=METADATA,
     compare_type=True,
     render_as_batch=connection.dialect.name == "sqlite",
 )

@@ -7,16 +7,18 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import func, select, text, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.models import EventRow
-from sms_jobs.catalogue.tables.people import AuditRow
+from sms_jobs.catalogue.tables.audit import AuditRow
 from sms_jobs.errors import CatalogueDamaged
 from sms_jobs.records.people import Actor, Role
-from sms_jobs.records.shown.people import Link
+
+if TYPE_CHECKING:
+    from sms_jobs.records.shown.people import Link
 
 SEALING = "events.seal"
 """The action of a link that holds the digest of events of jobs."""
@@ -151,6 +153,8 @@ def extent(session: Session) -> tuple[int, int]:
 
 
 def _link_view(row: AuditRow) -> Link:
+    from sms_jobs.records.shown.people import Link
+
     return Link(
         row.id,
         row.at,

@@ -5,26 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import Select, func, insert, select
+from sqlalchemy import func, insert, select
 from sqlalchemy.orm import Session, undefer
 
-from sms_jobs.catalogue.models import (
-    CampaignRow,
-    ChannelRow,
-    FileRow,
-    LoadStateRow,
-    RigRow,
-    SpecimenRow,
-)
+from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
-from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
@@ -240,35 +232,6 @@ def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None
     for some in parts(sorted(labels)):
         found |= dict(session.execute(query.where(LoadStateRow.label.in_(some))).all())
     return found
-
-
-def newest_file(session: Session, source: str, subject: Subject, media_type: str) -> int | None:
-    """Return the newest file of a type that is a measurement or result of a kind about a subject."""
-    return session.scalar(_files(source, subject, media_type).with_only_columns(func.max(FileRow.id)))
-
-
-def files_newest_first(session: Session, source: str, subject: Subject, media_type: str) -> Iterator[int]:
-    """Yield all files of which `newest_file` returns the first."""
-    yield from session.scalars(_files(source, subject, media_type).order_by(FileRow.id.desc()))
-
-
-def _files(source: str, subject: Subject, media_type: str) -> Select[Any]:
-    query = (
-        select(FileRow.id)
-        .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
-        .where(
-            FileRow.source == source,
-            FileRow.media_type == media_type,
-            CampaignRow.name == subject.campaign,
-        )
-    )
-    if subject.state is None:
-        query = query.where(FileRow.state_id.is_(None))
-    else:
-        query = query.join(LoadStateRow, LoadStateRow.id == FileRow.state_id).where(
-            LoadStateRow.label == subject.state
-        )
-    return query.where(FileRow.view.is_(None) if subject.view is None else FileRow.view == subject.view)
 
 
 def rig_row(session: Session, name: str) -> RigRow:

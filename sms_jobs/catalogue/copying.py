@@ -15,7 +15,8 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, Table, WorkerRow, written_tables
+from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.tables.every import METADATA, written_tables
 from sms_jobs.errors import ConfigurationError, Conflict
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
@@ -130,7 +131,7 @@ def _at_one_moment(source: Catalogue, hold: bool) -> Iterator[Session]:
     with source.reading() as session:
         if hold:
             # Before the first query, which fixes what is seen. Writers wait until the session ends.
-            names = ", ".join(f'"{table.name}"' for table in Table.metadata.sorted_tables)
+            names = ", ".join(f'"{table.name}"' for table in METADATA.sorted_tables)
             session.execute(text(f"LOCK TABLE {names} IN SHARE MODE"))
         yield session
 

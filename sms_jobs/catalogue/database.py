@@ -28,13 +28,6 @@ from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
 from sms_jobs.catalogue import audit, readable
 from sms_jobs.catalogue.audit import Deed
-from sms_jobs.catalogue.tables import (  # noqa: F401 - every table is known by it
-    changes,
-    checks,
-    planned,
-    runs,
-    schedules,
-)
 from sms_jobs.errors import (
     CatalogueBusy,
     CatalogueDamaged,

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from sqlalchemy import select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from sms_jobs.catalogue.models import DependencyRow, FileRow, ProvenanceRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.search import views_with
+from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.records.shown.files import Ancestor, Family, FileView
 
 GENERATIONS = 100

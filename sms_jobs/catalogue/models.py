@@ -14,12 +14,10 @@ from sqlalchemy import (
     UniqueConstraint,
     desc,
 )
-from sqlalchemy import Table as SqlTable
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, validates
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from sms_jobs.catalogue.tables.columns import MessageText, String, Text, UtcDateTime
 from sms_jobs.records.job import JobState
-from sms_jobs.records.views import view_of
 
 BigId = BigInteger().with_variant(Integer(), "sqlite")
 JobStateColumn = Enum(
@@ -29,9 +27,8 @@ JobStateColumn = Enum(
     length=16,
     values_callable=lambda states: [s.value for s in states],
 )
-
-
-_DERIVED = "derived"
+DERIVED = "derived"
+"""Marks a table that the database fills by itself."""
 
 
 class Table(DeclarativeBase):
@@ -119,138 +116,6 @@ class ChannelRow(Table):
     state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"), primary_key=True)
     name: Mapped[str] = mapped_column(String(64), primary_key=True)
     value: Mapped[float]
-
-
-class FileRow(Table):
-    """A sealed file of the archive, whatever it holds."""
-
-    __tablename__ = "file"
-    __table_args__ = (
-        Index(None, "campaign_id", "source", "state_id", "view", "id"),
-        # In these, all that is equal lies in the order of ids, so that the newest are found first.
-        Index(None, "campaign_id", "source", "id"),
-        Index(None, "source", "id"),
-    )
-    id: Mapped[int] = mapped_column(BigId, primary_key=True)
-    source: Mapped[str] = mapped_column(String(32))
-    """measurement, calibration, or the kind of job whose result it is."""
-    path: Mapped[str] = mapped_column(Text, unique=True)
-    content_hash: Mapped[str] = mapped_column(String(64))
-    size_bytes: Mapped[int] = mapped_column(BigInteger)
-    sha256: Mapped[str] = mapped_column(String(64), default="")
-    """Of the file's bytes; empty where it was not known when the file was entered."""
-    media_type: Mapped[str] = mapped_column(String(64))
-    created_at: Mapped[datetime] = mapped_column(index=True)
-    recorded_at: Mapped[datetime | None] = mapped_column(index=True)
-    """When the last of the recordings that it shows was started; see `catalogue.lineage`."""
-    campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))
-    state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"), index=True)
-    view: Mapped[str | None] = mapped_column(String(16))
-    camera: Mapped[str | None] = mapped_column(String(8))
-    """The reference camera of the view."""
-    projector: Mapped[str | None] = mapped_column(String(8))
-    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
-
-    @validates("view")
-    def _name_its_sensors(self, _: str, view: str | None) -> str | None:
-        seen = None if view is None else view_of(view)
-        self.camera = None if seen is None else seen.camera
-        self.projector = seen.projector if seen is not None and seen.projectors else None
-        return view
-
-
-class CalibrationRow(Table):
-    """A calibration of a rig, valid from a time on."""
-
-    __tablename__ = "calibration"
-    __table_args__ = (Index(None, "rig_id", "valid_from"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"))
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
-    valid_from: Mapped[datetime]
-    origin: Mapped[str] = mapped_column(Text)
-    sensors: Mapped[dict[str, Any]]
-    """Role, columns and rows of each of its sensors, by name, in their order."""
-
-
-class AcceptanceRow(Table):
-    """The last decision whether a calibration is used; without one it is not."""
-
-    __tablename__ = "acceptance"
-    __table_args__ = (Index(None, "campaign"),)
-    calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"), primary_key=True)
-    campaign: Mapped[str] = mapped_column(String(64), primary_key=True)
-    """Name of the only campaign that it is about; empty for all of the rig that have none of their own."""
-    in_use: Mapped[bool]
-    decided_at: Mapped[datetime]
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
-
-
-class CalibrationUseRow(Table):
-    """A file was computed with a calibration, directly or through what it was computed from."""
-
-    __tablename__ = "calibration_use"
-    __table_args__ = (Index(None, "file_id"),)
-    calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"), primary_key=True)
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-
-
-class MeasurementRow(Table):
-    """What one view recorded at one state."""
-
-    __tablename__ = "measurement"
-    __table_args__ = (Index(None, "state_id", "view", "recorded_at"),)
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"))
-    view: Mapped[str] = mapped_column(String(16))
-    recorded_at: Mapped[datetime] = mapped_column(index=True)
-
-
-class ResultRow(Table):
-    """What a job computed: one file of its outputs."""
-
-    __tablename__ = "result"
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    kind: Mapped[str] = mapped_column(String(32), index=True)
-    kind_version: Mapped[int]
-
-
-class StatisticRow(Table):
-    """A number that a file can be found by."""
-
-    __tablename__ = "statistic"
-    __table_args__ = (Index(None, "name", "value", "file_id"),)
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    name: Mapped[str] = mapped_column(String(64), primary_key=True)
-    value: Mapped[float]
-
-
-class ReadingRow(Table):
-    """What a scalar channel read while the frames of a file, or those behind it, were recorded."""
-
-    __tablename__ = "reading"
-    __table_args__ = (Index(None, "name", "value", "file_id"),)
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    name: Mapped[str] = mapped_column(String(64), primary_key=True)
-    value: Mapped[float]
-
-
-class ProvenanceRow(Table):
-    """An edge of the provenance graph: `output` was computed from `input`."""
-
-    __tablename__ = "provenance"
-    output_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    role: Mapped[str] = mapped_column(String(256), primary_key=True)
-    input_id: Mapped[int] = mapped_column(ForeignKey("file.id"), index=True)
-
-
-class PinRow(Table):
-    """A file that stays whatever a policy says."""
-
-    __tablename__ = "pin"
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    reason: Mapped[str] = mapped_column(Text)
-    pinned_at: Mapped[datetime]
 
 
 class WorkerRow(Table):
@@ -349,25 +214,13 @@ class JobCountRow(Table):
     """
 
     __tablename__ = "job_count"
-    __table_args__ = ({"info": {_DERIVED: True}},)
+    __table_args__ = ({"info": {DERIVED: True}},)
     campaign_id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     kind: Mapped[str] = mapped_column(String(32), primary_key=True)
     queue: Mapped[str] = mapped_column(String(80), primary_key=True)
     state: Mapped[JobState] = mapped_column(primary_key=True)
     part: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
     jobs: Mapped[int] = mapped_column(BigInteger)
-
-
-class DependencyRow(Table):
-    """One input of a job: a file, or the job that will produce it."""
-
-    __tablename__ = "dependency"
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
-    role: Mapped[str] = mapped_column(String(256), primary_key=True)
-    source: Mapped[str] = mapped_column(String(32))
-    subject: Mapped[str] = mapped_column(String(200))
-    producer_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
-    file_id: Mapped[int | None] = mapped_column(ForeignKey("file.id"), index=True)
 
 
 class EventRow(Table):
@@ -386,62 +239,3 @@ class EventRow(Table):
     message: Mapped[str] = mapped_column(MessageText, default="")
     seal_id: Mapped[int | None] = mapped_column(BigInteger)
     """The link of the chain whose digest holds this row; None until the service has come to it."""
-
-
-class OutboxRow(Table):
-    """A message that is to be sent once the transaction that wrote this row is committed."""
-
-    __tablename__ = "outbox"
-    id: Mapped[int] = mapped_column(BigId, primary_key=True)
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
-    queue: Mapped[str] = mapped_column(String(80))
-
-
-class QueueRow(Table):
-    """A queue that is paused, or was; one without a row never was."""
-
-    __tablename__ = "queue"
-    name: Mapped[str] = mapped_column(String(80), primary_key=True)
-    paused_at: Mapped[datetime | None]
-    reason: Mapped[str] = mapped_column(Text)
-    for_room: Mapped[bool]
-    """Paused because a disk is full: it goes on by itself once there is room."""
-
-
-class SavedQueryRow(Table):
-    """A question to the archive that somebody wants to ask again."""
-
-    __tablename__ = "saved_query"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    name: Mapped[str] = mapped_column(String(64), unique=True)
-    text: Mapped[str] = mapped_column(Text)
-    saved_at: Mapped[datetime]
-
-
-class JobDeviceRow(Table):
-    """A device that a job has to hold while it runs."""
-
-    __tablename__ = "job_device"
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
-    device: Mapped[str] = mapped_column(String(128), primary_key=True)
-
-
-class LockRow(Table):
-    """A device that is held: by an attempt of a job for as long as that runs, or by a person for a while.
-
-    The row of a device outlives its holder; only `jobs.locks` can say whether it is held.
-    """
-
-    __tablename__ = "lock"
-    device: Mapped[str] = mapped_column(String(128), primary_key=True)
-    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
-    fence: Mapped[int | None]
-    holder: Mapped[str | None] = mapped_column(String(128))
-    """A person or program that is no job, until `lease_until`."""
-    lease_until: Mapped[datetime | None]
-    taken_at: Mapped[datetime | None]
-
-
-def written_tables() -> list[SqlTable]:
-    """Return the tables that the program writes itself, those first that others refer to."""
-    return [table for table in Table.metadata.sorted_tables if _DERIVED not in table.info]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
@@ -11,7 +12,9 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.tables.people import PersonRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.people import Role
-from sms_jobs.records.shown.people import PersonView
+
+if TYPE_CHECKING:
+    from sms_jobs.records.shown.people import PersonView
 
 
 def has_people(session: Session) -> bool:
@@ -43,6 +46,8 @@ def listed(session: Session) -> list[PersonView]:
 
 def person_view(row: PersonRow) -> PersonView:
     """Return a person as shown."""
+    from sms_jobs.records.shown.people import PersonView
+
     return PersonView(
         row.name, Role(row.role), row.active, row.password is not None, row.created_at, row.locked_until
     )

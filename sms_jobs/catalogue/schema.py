@@ -15,7 +15,6 @@ from sqlalchemy.schema import SchemaItem
 import sms_jobs
 from sms_jobs.catalogue import job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import Table
 from sms_jobs.errors import CatalogueEmpty, ConfigurationError, OtherFormat
 
 if TYPE_CHECKING:
@@ -124,10 +123,12 @@ def differences_from_models(catalogue: Catalogue) -> list[str]:
     from alembic.autogenerate import compare_metadata
     from alembic.runtime.migration import MigrationContext
 
+    from sms_jobs.catalogue.tables.every import METADATA
+
     with catalogue.reading() as session:
         compared = {"compare_type": True, "include_object": partial(_is_compared, catalogue.dialect)}
         context = MigrationContext.configure(session.connection(), opts=compared)
-        found = [repr(difference) for difference in compare_metadata(context, Table.metadata)]
+        found = [repr(difference) for difference in compare_metadata(context, METADATA)]
         there = set(session.scalars(text(_TRIGGERS[catalogue.dialect])))
         return [*found, *(f"no trigger {name}" for name in sorted(job_counts.TRIGGERS - there))]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from sqlalchemy import text
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import Table
 
 MANY = 1000
 """After so many new jobs or files the database should look at them."""
@@ -23,7 +22,10 @@ def analyse(catalogue: Catalogue) -> None:
         with catalogue.writing() as session:
             session.execute(text("ANALYZE"))
         return
-    for table in Table.metadata.tables:
+    # Which loads every table, and is done after much has changed.
+    from sms_jobs.catalogue.tables.every import METADATA
+
+    for table in METADATA.tables:
         # One by one, since others wait who want to write.
         with catalogue.writing() as session:
             session.execute(text(f"PRAGMA analysis_limit = {_ROWS}"))

@@ -19,7 +19,7 @@ from sms_jobs.app.specimens import campaigns as app_campaigns
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.archiving.importing import with_view

@@ -5,10 +5,11 @@ from __future__ import annotations
 from support.archives import Clock, emptied, registered, run_jobs, work_again
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive
-from sms_jobs.catalogue import campaigns, family
+from sms_jobs.catalogue import family, subject_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.foreseen import foreseen_reuse
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
@@ -23,13 +24,13 @@ AS_A_TRIAL = Request("reconstruct", {"minimum_modulation_to_noise": 9.0}, ("S01"
 
 def newest(catalogue: Catalogue) -> FileRow:
     with catalogue.reading() as session:
-        number = campaigns.newest_file(session, "reconstruct", ABOUT, DATASET_MEDIA_TYPE)
+        number = subject_files.newest_file(session, "reconstruct", ABOUT, DATASET_MEDIA_TYPE)
         return session.get_one(FileRow, number)
 
 
 def explained(catalogue: Catalogue, job: str, clock: Clock) -> str:
     with catalogue.reading() as session:
-        return " ".join(inquiry.explain(session, session.get_one(JobRow, job), clock()))
+        return " ".join(explanation.explain(session, session.get_one(JobRow, job), clock()))
 
 
 def test_what_was_tried_in_between_is_not_the_newest_any_more(

@@ -15,13 +15,15 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, Checker, FolderStore, InputReference
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow, LoadStateRow
+from sms_jobs.catalogue.models import JobRow, LoadStateRow
+from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.jobs.archiving import acceptances, calibration_choice
 from sms_jobs.jobs.archiving.importing import import_measurement
 from sms_jobs.jobs.archiving.registration import Registered, register_calibration, register_campaign
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.keeping import repair
 from sms_jobs.jobs.keeping.verification import check_known
 from sms_jobs.jobs.planning.chosen import by_ids
@@ -102,7 +104,7 @@ def stale(catalogue: Catalogue, jobs: tuple[str, ...], clock: Clock) -> list[str
     now = clock()
     with catalogue.reading() as session:
         rows = [session.get_one(JobRow, job) for job in jobs]
-        told = [line for row in rows for line in inquiry.explain(session, row, now)]
+        told = [line for row in rows for line in explanation.explain(session, row, now)]
     return [line for line in told if "stale" in line]
 
 

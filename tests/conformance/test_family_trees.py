@@ -11,7 +11,7 @@ from support.statements import heard
 
 from sms_jobs.catalogue import family, search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, ProvenanceRow
+from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
 from sms_jobs.records.shown.files import Ancestor, Family
 
 Edge = tuple[int, str, int]

@@ -26,19 +26,12 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bench.large import many_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    CampaignRow,
-    ChannelRow,
-    FileRow,
-    LoadStateRow,
-    MeasurementRow,
-    ReadingRow,
-    StatisticRow,
-)
+from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.files import restricted
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.queries.states import find_page
+from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ReadingRow, StatisticRow
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.portion import Portion
 from sms_jobs.records.shown.states import FoundState, StatePage

@@ -11,9 +11,10 @@ from sqlalchemy import select
 from support.jobs import NOW, claim, events, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobDeviceRow, JobRow, LockRow
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.queues import JobDeviceRow, LockRow
 from sms_jobs.errors import Conflict, DevicesBusy, LeaseLost, NotFound
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.running import lifecycle, recovery
 from sms_jobs.jobs.running.lifecycle import Claim
@@ -143,7 +144,7 @@ def test_a_job_whose_devices_are_held_stays_queued_and_says_so(catalogue: Catalo
     assert claim(catalogue) is None  # the other one needs the same camera
     (other,) = set(acquiring) - {first.job_id}
     with catalogue.reading() as session:
-        why = inquiry.explain(session, session.get_one(JobRow, other), NOW)
+        why = explanation.explain(session, session.get_one(JobRow, other), NOW)
     assert any(f"it needs camera/C1, which job {first.job_id[:8]} (simulate plate/S" in line for line in why)
     with catalogue.writing() as session:
         lifecycle.succeed(session, first, NOW, "done", reuse_key="k")

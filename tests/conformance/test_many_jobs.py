@@ -128,7 +128,7 @@ def test_a_campaign_is_cancelled_and_tried_again_part_by_part(filled: Catalogue)
 def test_all_that_depends_on_one_job_is_skipped_however_much_that_is(filled: Catalogue) -> None:
     from sqlalchemy import update
 
-    from sms_jobs.catalogue.models import DependencyRow
+    from sms_jobs.catalogue.tables.queues import DependencyRow
 
     held = claim(filled)
     assert held is not None

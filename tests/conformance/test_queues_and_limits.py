@@ -11,7 +11,7 @@ from support.jobs import NOW, claim, ids, state, submit_pipeline
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import Cancelled, Conflict, OverLimit
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.running import lifecycle, limits, orders, queues, recovery
 from sms_jobs.jobs.running.limits import Force, Limits, Watch
@@ -27,7 +27,7 @@ def test_a_paused_queue_lets_nothing_begin_until_it_is_resumed(catalogue: Catalo
         queues.pause(session, "acquisition", "the hall is in use", NOW)
     assert claim(catalogue) is None
     with catalogue.writing() as session:
-        (why,) = inquiry.explain(session, session.get_one(JobRow, first), NOW)[1:]
+        (why,) = explanation.explain(session, session.get_one(JobRow, first), NOW)[1:]
         assert "the hall is in use" in why
         assert "sms queue resume acquisition" in why
         assert queues.resume(session, "acquisition")

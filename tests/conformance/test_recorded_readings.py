@@ -13,9 +13,9 @@ from sms_jobs.app.holdings.finding import vocabulary
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, MeasurementRow
 from sms_jobs.catalogue.queries.files import find_page
 from sms_jobs.catalogue.queries.language import parse
+from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow
 from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs.archiving.importing import amend_campaign, with_readings
 from sms_jobs.jobs.devices.stations import Stations

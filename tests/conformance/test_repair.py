@@ -127,7 +127,7 @@ def test_a_damaged_result_that_a_newer_one_replaces_is_forgotten(
 def _forget(catalogue: Catalogue, path: str) -> None:
     from sqlalchemy import select
 
-    from sms_jobs.catalogue.models import FileRow
+    from sms_jobs.catalogue.tables.files import FileRow
 
     with catalogue.writing() as session:
         retention.forget(session, [session.scalars(select(FileRow.id).where(FileRow.path == path)).one()])

@@ -15,7 +15,7 @@ from support.deployments import Deployment
 from sms_jobs import bootstrap
 from sms_jobs.app.holdings import reading
 from sms_jobs.archive import Archive
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, subject_files
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs.asking import campaign_matrix
@@ -69,14 +69,14 @@ def test_a_frame_makes_stale_what_lies_along_it_and_nothing_else(
     after = conditions(catalogue)
     assert after == {"reconstruct": "computed", "correlate": "computed", "strain": "stale", "merge": "stale"}
     with catalogue.reading() as session:
-        strains = campaigns.newest_file(session, "strain", STRAINED, "application/x-hdf5")
+        strains = subject_files.newest_file(session, "strain", STRAINED, "application/x-hdf5")
     found = json.loads(said(deployment, "data", "states", "frame = points", "--format", "json").stdout)
     assert len(found["states"]) == 2
 
     run_jobs(catalogue, archive, clock, [Request("strain"), Request("merge")])
     assert set(conditions(catalogue).values()) == {"computed"}
     with catalogue.reading() as session:
-        again = campaigns.newest_file(session, "strain", STRAINED, "application/x-hdf5")
+        again = subject_files.newest_file(session, "strain", STRAINED, "application/x-hdf5")
     assert again != strains
     exported = deployment.home / "merged.csv"
     said(

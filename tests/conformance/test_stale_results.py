@@ -10,7 +10,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
-from sms_jobs.jobs.asking import campaign_matrix, inquiry
+from sms_jobs.jobs.asking import campaign_matrix, explanation
 from sms_jobs.jobs.planning.graph import Request
 
 KINDS = ("simulate", "reconstruct", "correlate", "strain", "merge")
@@ -33,7 +33,7 @@ def reasons(catalogue: Catalogue) -> dict[tuple[str, str | None], str]:
 
 def explained(catalogue: Catalogue, job: str) -> list[str]:
     with catalogue.reading() as session:
-        told = inquiry.explain(session, session.get_one(JobRow, job), datetime.now(UTC))
+        told = explanation.explain(session, session.get_one(JobRow, job), datetime.now(UTC))
     return [line for line in told if "stale" in line]
 
 

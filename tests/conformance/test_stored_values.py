@@ -11,7 +11,8 @@ from support.deployments import Deployment
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, SavedQueryRow, SpecimenRow
+from sms_jobs.catalogue.models import JobRow, SpecimenRow
+from sms_jobs.catalogue.tables.saved_queries import SavedQueryRow
 from sms_jobs.errors import InvalidInput
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)

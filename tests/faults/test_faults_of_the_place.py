@@ -22,7 +22,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.keeping import verification
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit
@@ -100,7 +100,7 @@ def test_a_read_only_archive_begins_no_job(home: Path, embedded: Catalogue, disk
     with embedded.reading() as session:
         job = session.scalars(select(JobRow).where(JobRow.state == JobState.QUEUED)).first()
         assert job is not None
-        why = inquiry.explain(session, job, job.submitted_at)
+        why = explanation.explain(session, job, job.submitted_at)
     assert f"worker w1 claims no job: {reason}; it goes on by itself" in why
     watch(home, embedded, archive).look()
     assert held_for(embedded) == reason

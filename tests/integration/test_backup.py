@@ -22,7 +22,8 @@ from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, JobRow
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.keeping import backups, verification

@@ -19,7 +19,7 @@ from support.command import SMS, answer, inside, service
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.archiving.calibrations import known_calibration
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign

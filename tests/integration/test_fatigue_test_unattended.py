@@ -14,7 +14,7 @@ from sqlalchemy import func, select
 from support.command import answer, service, sms, wait_until
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.campaign import LoadState
 from sms_jobs.records.scene import Rigid, UniaxialStrain

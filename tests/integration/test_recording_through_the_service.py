@@ -17,7 +17,7 @@ from support.spools import complete_frames
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.instruments.spool import Spooled
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices import locks

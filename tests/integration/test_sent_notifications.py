@@ -22,7 +22,7 @@ from support.receivers import MailServer, certificate, running, tls, webhook
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import notifications
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.tables.people import AuditRow
+from sms_jobs.catalogue.tables.audit import AuditRow
 from sms_jobs.errors import ConfigurationError, Conflict, InvalidInput, NotAllowed, NotDelivered, NotFound
 from sms_jobs.jobs.notifying import sending
 from sms_jobs.jobs.notifying.deliveries import Delivery

@@ -38,7 +38,8 @@ from support.sealing import measurement, point_cloud
 from sms_jobs.archive import Archive, Checker, FolderStore, InputReference, Provenance
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, ProvenanceRow, written_tables
+from sms_jobs.catalogue.tables.every import written_tables
+from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import Entry

@@ -14,24 +14,18 @@ from sqlalchemy.orm import aliased
 from sms_jobs.archive import Archive, Checker
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    AcceptanceRow,
-    CalibrationRow,
-    CampaignRow,
-    ChannelRow,
-    DependencyRow,
+from sms_jobs.catalogue.models import CampaignRow, ChannelRow, JobRow, LoadStateRow, RigRow, SpecimenRow
+from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.every import METADATA
+from sms_jobs.catalogue.tables.files import (
     FileRow,
-    JobRow,
-    LoadStateRow,
     MeasurementRow,
     ProvenanceRow,
     ReadingRow,
     ResultRow,
-    RigRow,
-    SpecimenRow,
     StatisticRow,
-    Table,
 )
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices.stations import Stations
 from sms_jobs.jobs.planning.graph import Request
@@ -95,7 +89,7 @@ def runner(catalogue: Catalogue, archive: Archive, clock: Clock) -> Runner:
 
 def emptied(catalogue: Catalogue) -> None:
     """Make a catalogue as it is when a home is new."""
-    Table.metadata.drop_all(catalogue.engine)
+    METADATA.drop_all(catalogue.engine)
     with catalogue.writing() as session:
         session.execute(text("DROP TABLE alembic_version"))
     schema.upgrade(catalogue)

@@ -15,7 +15,7 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import Provenance
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.subject import Subject
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -14,7 +14,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.holdings import files
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import ProvenanceRow
+from sms_jobs.catalogue.tables.files import ProvenanceRow
 from sms_jobs.formats.figures import plot_record
 from sms_jobs.kinds import all_kinds, kind_named
 from sms_jobs.kinds.kind import MEASUREMENT, Need

@@ -31,13 +31,30 @@ _SAY = (
     "        runpy.run_module('sms_jobs.cli.main', run_name='__main__')\n"
     "    except SystemExit as end:\n"
     "        assert not end.code, (words, end.code)\n"
-    "    ours = [n for n in set(sys.modules) - of_the_interpreter if '.' not in n and n[0] != '_']\n"
-    "    print('loaded', *(n for n in ours if n not in sys.stdlib_module_names), file=sys.stderr)\n"
+    "    ours = [n for n in set(sys.modules) - of_the_interpreter if n[0] != '_']\n"
+    "    ours = [n for n in ours if n.partition('.')[0] not in sys.stdlib_module_names]\n"
+    "    print('loaded', *ours, file=sys.stderr)\n"
 )
+STATUS = {
+    "": "bootstrap errors settings",
+    "app": "rules",
+    "app.home": "service",
+    "archive": "archive checking damage folder form layout memory place provenance sealing store",
+    "catalogue": "audit campaigns database job_counts models parts people readable renewal schema",
+    "catalogue.tables": "audit columns people",
+    "cli": "app commands output service waiting",
+    "jobs.asking": "inquiry",
+    "jobs.devices": "disks",
+    "jobs.planning": "chosen",
+    "jobs.recording": "any_plans",
+    "records": "job numbers people plain sizes subject texts times views",
+    "records.shown": "estimates planned_recordings",
+}
+"""Modules of ours, by folder, that `sms status` loads where nothing is planned and no job is ahead."""
 
 
-def loaded(*commands: str, home: Path | None = None) -> dict[str, set[str]]:
-    """Return the packages that are loaded after each command, none of which comes with Python.
+def modules(*commands: str, home: Path | None = None) -> dict[str, set[str]]:
+    """Return the modules that are loaded after each command, none of which comes with Python.
 
     One process runs them all, one after the other: the first that has too many has loaded them.
     """
@@ -50,7 +67,13 @@ def loaded(*commands: str, home: Path | None = None) -> dict[str, set[str]]:
         env=os.environ | ({} if home is None else {"SMS_HOME": str(home)}),
     )
     said = [line.split()[1:] for line in done.stderr.splitlines() if line.partition(" ")[0] == "loaded"]
-    return {words: set(packages) for words, packages in zip(commands, said, strict=True)}
+    return {words: set(names) for words, names in zip(commands, said, strict=True)}
+
+
+def loaded(*commands: str, home: Path | None = None) -> dict[str, set[str]]:
+    """Return the packages that these modules are of."""
+    found = modules(*commands, home=home)
+    return {words: {name.partition(".")[0] for name in names} for words, names in found.items()}
 
 
 def too_many(found: dict[str, set[str]], allowed: set[str]) -> dict[str, set[str]]:
@@ -79,6 +102,21 @@ ASKING = (
 def test_what_only_asks_the_catalogue_loads_nothing_else(home: Path) -> None:
     make_home(home, {})
     assert too_many(loaded(*ASKING, home=home), COMMAND_LINE | TABLES | CATALOGUE) == {}
+
+
+def test_a_status_loads_what_it_shows(home: Path) -> None:
+    make_home(home, {})
+    allowed = {f"sms_jobs.{at}.{name}".replace("..", ".") for at in STATUS for name in STATUS[at].split()}
+    folders = {name.rpartition(".")[0] for name in allowed} | {"sms_jobs.app", "sms_jobs.jobs"}
+    found = {name for name in modules("status", home=home)["status"] if name.startswith("sms_jobs.")}
+    assert found <= allowed | folders
+
+
+def test_what_asks_some_tables_maps_no_others(home: Path) -> None:
+    make_home(home, {})
+    asking = ("status", "job list", "campaign list", "data find", "worker list")
+    found = modules(*asking, home=home)
+    assert [words for words in asking if "sms_jobs.catalogue.tables.every" in found[words]] == []
 
 
 def test_schedules_need_no_more_than_what_reads_their_times(home: Path) -> None:

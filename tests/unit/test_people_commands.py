@@ -22,7 +22,7 @@ from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
-from sms_jobs.catalogue.tables.people import AuditRow
+from sms_jobs.catalogue.tables.audit import AuditRow
 from sms_jobs.errors import NotAllowed
 from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -16,7 +16,7 @@ from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.campaign import CampaignDefinition, LoadState
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -24,7 +24,7 @@ from sms_jobs.app.rules import Rule, require, rule_of, use_case
 from sms_jobs.app.work import jobs, queues
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import audit
-from sms_jobs.catalogue.tables.people import AuditRow
+from sms_jobs.catalogue.tables.audit import AuditRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound, PasswordNeeded
 from sms_jobs.records.people import RIGHTS, Right, Role
 

@@ -12,7 +12,7 @@ from sms_jobs.app.fields.field_comparison import ComparisonOptions, difference_o
 from sms_jobs.app.rules import use_case
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns, search
+from sms_jobs.catalogue import campaigns, search, subject_files
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.state_differences import StateDifference, draw_states, written_table
 from sms_jobs.records.people import Right
@@ -76,12 +76,16 @@ def _pairs(services: Services, campaign: str, other: str, kind: str) -> list[tup
         if _STATE not in other:
             campaigns.campaign_id(session, other)
         for state in states[1:]:
-            mine = campaigns.newest_file(session, kind, Subject(campaign, state.label), DATASET_MEDIA_TYPE)
+            mine = subject_files.newest_file(
+                session, kind, Subject(campaign, state.label), DATASET_MEDIA_TYPE
+            )
             if _STATE in other:
                 file = Path(other.replace(_STATE, state.label))
                 theirs = str(file) if file.is_file() else None
             else:
-                number = campaigns.newest_file(session, kind, Subject(other, state.label), DATASET_MEDIA_TYPE)
+                number = subject_files.newest_file(
+                    session, kind, Subject(other, state.label), DATASET_MEDIA_TYPE
+                )
                 theirs = None if number is None else str(number)
             if mine is not None and theirs is not None:
                 held = as_recorded(state, search.readings(session, mine))

@@ -17,7 +17,7 @@ from sms_jobs.archive.codec import class_named, layout_of, record_from_parts
 from sms_jobs.archive.dataset import ArchivedDataset
 from sms_jobs.archive.provenance import provenance_from_json, provenance_to_json
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns, search
+from sms_jobs.catalogue import campaigns, search, subject_files
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat
 from sms_jobs.jobs.results.turned import is_turned_file
 from sms_jobs.kinds import all_kinds
@@ -102,7 +102,7 @@ def newest_file(services: Services, subject: str, what: str) -> Newest:
 
 def _newest_first(session: Session, sources: Iterable[str], about: Subject) -> list[int]:
     """Return the numbers of the files that one of some kinds made about a subject, the newest first."""
-    found = (campaigns.files_newest_first(session, one, about, DATASET_MEDIA_TYPE) for one in sources)
+    found = (subject_files.files_newest_first(session, one, about, DATASET_MEDIA_TYPE) for one in sources)
     return sorted(chain.from_iterable(found), reverse=True)
 
 

@@ -18,8 +18,7 @@ from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.asking.inquiry import WorkerView
 from sms_jobs.jobs.devices import disks
-from sms_jobs.jobs.planning.chosen import of_campaign
-from sms_jobs.jobs.recording import shown_plans
+from sms_jobs.jobs.recording.any_plans import any_plans
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
@@ -90,17 +89,25 @@ def status(services: Services) -> Status:
             tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
             ends_at,
-            tuple(one for one in shown_plans.list_planned(session, datetime.now(UTC)) if one.is_next),
+            _next_planned(session) if any_plans(session) else (),
         )
 
 
 def _ahead(session: Session, workers: int) -> tuple[Outlook, dict[str, datetime]]:
     # To estimate takes more than everything else here, and there are jobs only while somebody works.
+    from sms_jobs.jobs.planning.chosen import of_campaign
     from sms_jobs.jobs.planning.estimates import ends, outlook
 
     return outlook(session, of_campaign(session, None), workers), ends(
         session, datetime.now(UTC), _MOST_RUNNING
     )
+
+
+def _next_planned(session: Session) -> tuple[PlannedRecording, ...]:
+    # Which loads triggers, levels and limits: only a home with plans needs them.
+    from sms_jobs.jobs.recording.shown_plans import list_planned
+
+    return tuple(one for one in list_planned(session, datetime.now(UTC)) if one.is_next)
 
 
 @use_case(Right.ADMINISTER)

@@ -12,7 +12,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search, upkeep
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs.asking import inquiry, runs
+from sms_jobs.jobs.asking import explanation, inquiry, runs
 from sms_jobs.jobs.asking.inquiry import Event, JobView
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
@@ -325,4 +325,4 @@ def explain(services: Services, prefix: str) -> Explanation:
     """Say why a job waits, ran, was reused, or is stale; raises as `show` does."""
     with services.catalogue.reading() as session:
         row = inquiry.find_job(session, prefix)
-        return Explanation(row.id, tuple(inquiry.explain(session, row, datetime.now(UTC))))
+        return Explanation(row.id, tuple(explanation.explain(session, row, datetime.now(UTC))))

@@ -23,7 +23,8 @@ from sms_jobs.bench.large import many_files, many_jobs
 from sms_jobs.bench.web_clients import API, LISTED, EventEar, PageOfJobs, Served, crowd, served
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
-from sms_jobs.catalogue.models import CalibrationRow, FileRow
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.products import CALIBRATED, UNCERTAINTY
 from sms_jobs.metrology.geometry.camera import SENSOR_PARAMETERS

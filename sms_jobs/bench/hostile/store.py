@@ -19,7 +19,7 @@ from sms_jobs import bootstrap
 from sms_jobs.bench.servers import POSTGRESQL, fresh_postgresql
 from sms_jobs.catalogue import copying
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.every import METADATA
 from sms_jobs.errors import ConfigurationError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.planning.graph import Request
@@ -162,7 +162,7 @@ class _PostgresqlBooks:
         """Return which version of each row is where."""
         rows = " UNION ALL ".join(
             f"SELECT '{t.name}', md5(string_agg(xmin::text || ctid, ',' ORDER BY ctid)) FROM \"{t.name}\""  # noqa: S608
-            for t in Table.metadata.sorted_tables
+            for t in METADATA.sorted_tables
         )
         with self.engine.connect() as connection:
             return [tuple(row) for row in connection.execute(text(rows))]

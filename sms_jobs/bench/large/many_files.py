@@ -27,24 +27,25 @@ from sms_jobs.catalogue import copying, job_counts, upkeep
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import (
     BigId,
-    CalibrationRow,
-    CalibrationUseRow,
     CampaignRow,
     ChannelRow,
-    FileRow,
     JobRow,
     JobStateColumn,
     LoadStateRow,
+    RigRow,
+    SpecimenRow,
+    Table,
+)
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.columns import UtcDateTime
+from sms_jobs.catalogue.tables.files import (
+    FileRow,
     MeasurementRow,
     ProvenanceRow,
     ReadingRow,
     ResultRow,
-    RigRow,
-    SpecimenRow,
     StatisticRow,
-    Table,
 )
-from sms_jobs.catalogue.tables.columns import UtcDateTime
 from sms_jobs.records.job import JobState
 from sms_jobs.records.views import view_of
 

@@ -18,7 +18,7 @@ from sqlalchemy import (
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import CalibrationRow, CalibrationUseRow, CampaignRow, FileRow, LoadStateRow
+from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
 from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.catalogue.queries.comparisons import Comparisons, expression, parameter_type
 from sms_jobs.catalogue.queries.fields import Fields, parameter_as
@@ -36,6 +36,8 @@ from sms_jobs.catalogue.queries.language import (
     values_of,
 )
 from sms_jobs.catalogue.queries.names import Field
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import NotFound
 
 

@@ -16,22 +16,11 @@ from typing import Any, Literal
 from sqlalchemy import ColumnElement, Select, String, case, cast, func, literal, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
-from sms_jobs.catalogue.models import (
-    CalibrationRow,
-    CalibrationUseRow,
-    CampaignRow,
-    ChannelRow,
-    FileRow,
-    JobRow,
-    LoadStateRow,
-    ReadingRow,
-    ResultRow,
-    RigRow,
-    SpecimenRow,
-    StatisticRow,
-)
+from sms_jobs.catalogue.models import CampaignRow, ChannelRow, JobRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.queries.language import Name, Test, refuse
 from sms_jobs.catalogue.queries.names import Field, Resolver, Source, Type, built_in, listed, stored_name
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, ResultRow, StatisticRow
 
 
 class Vocabulary:

@@ -13,7 +13,6 @@ from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue import search
-from sms_jobs.catalogue.models import CalibrationUseRow, FileRow
 from sms_jobs.catalogue.queries.conditions import Conditions
 from sms_jobs.catalogue.queries.fields import Fields, Vocabulary
 from sms_jobs.catalogue.queries.language import (
@@ -29,6 +28,8 @@ from sms_jobs.catalogue.queries.language import (
     conjuncts,
 )
 from sms_jobs.catalogue.queries.names import Field
+from sms_jobs.catalogue.tables.calibrations import CalibrationUseRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.files import Found, Page
 from sms_jobs.records.shown.portion import FIRST, Portion

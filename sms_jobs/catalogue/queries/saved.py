@@ -9,10 +9,10 @@ from datetime import datetime
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import SavedQueryRow
 from sms_jobs.catalogue.queries import files
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.language import parse
+from sms_jobs.catalogue.tables.saved_queries import SavedQueryRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")

@@ -15,20 +15,11 @@ from typing import Any
 from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
-from sms_jobs.catalogue.models import (
-    CampaignRow,
-    ChannelRow,
-    FileRow,
-    LoadStateRow,
-    MeasurementRow,
-    ReadingRow,
-    RigRow,
-    SpecimenRow,
-    StatisticRow,
-)
+from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.queries.fields import different, file_fields
 from sms_jobs.catalogue.queries.language import Name, Query, Test, refuse
 from sms_jobs.catalogue.queries.names import Field, Resolver, Type, built_in, listed, stored_name
+from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ReadingRow, StatisticRow
 
 SEEN = aliased(FileRow, name="seen")
 

@@ -6,6 +6,7 @@ from sqlalchemy import ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
 from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables import files  # noqa: F401 - to whose rows they refer
 from sms_jobs.catalogue.tables.columns import String, Text
 
 

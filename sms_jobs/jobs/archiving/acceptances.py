@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive, InputReference, Provenance
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import AcceptanceRow
+from sms_jobs.catalogue.tables.calibrations import AcceptanceRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.archiving import decisions
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, InputReference
 from sms_jobs.archive.dataset import ArchivedDataset
-from sms_jobs.catalogue import campaigns, search, valid_calibrations
+from sms_jobs.catalogue import campaigns, search, subject_files, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.archiving import calibration_choice
@@ -283,7 +283,7 @@ def check(
                 f"{subject} has fringes of one orientation, with which no error of the calibration shows: "
                 "check a measurement with two orientations"
             )
-        shape = campaigns.newest_file(session, "reconstruct", subject, DATASET_MEDIA_TYPE)
+        shape = subject_files.newest_file(session, "reconstruct", subject, DATASET_MEDIA_TYPE)
         used = calibration_choice.chosen(session, subject, now)
         if shape is None or used is None:
             what = "shape" if shape is None else "valid calibration"

@@ -11,19 +11,11 @@ from sqlalchemy import Row, Table, and_, bindparam, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, InputReference, Provenance, Sealed
-from sms_jobs.catalogue import campaigns, lineage, valid_calibrations
-from sms_jobs.catalogue.models import (
-    CampaignRow,
-    DependencyRow,
-    FileRow,
-    JobRow,
-    LoadStateRow,
-    MeasurementRow,
-    ProvenanceRow,
-    ResultRow,
-    StatisticRow,
-)
+from sms_jobs.catalogue import campaigns, lineage, subject_files, valid_calibrations
+from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ProvenanceRow, ResultRow, StatisticRow
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.jobs.archiving import calibration_choice, decisions
 from sms_jobs.kinds import all_kinds
@@ -217,7 +209,7 @@ def existing_file(session: Session, entry: Entry) -> int | None:
     if isinstance(record, Acceptance) and decisions.is_made(session, record):
         return calibration_file(session, record.calibration)
     if source == REFERENCE_SURFACES:
-        number = campaigns.newest_file(
+        number = subject_files.newest_file(
             session, REFERENCE_SURFACES, entry.provenance.subject, DATASET_MEDIA_TYPE
         )
         if number and session.get_one(FileRow, number).content_hash == entry.sealed.content_hash:

@@ -15,7 +15,8 @@ from sqlalchemy import select
 from sms_jobs.archive import Archive, InputReference, Provenance, Sealed
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CalibrationRow, FileRow
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.archiving import decisions
 from sms_jobs.jobs.archiving.acceptances import decided
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN, calibration_file

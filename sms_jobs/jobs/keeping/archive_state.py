@@ -9,8 +9,9 @@ from typing import Final
 from sqlalchemy import case, delete, func, insert, or_, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, FileRow
+from sms_jobs.catalogue.models import CampaignRow
 from sms_jobs.catalogue.tables.checks import FileCheckRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.keeping.verification import Checked
 from sms_jobs.records.shown.archive_state import ArchiveState, CheckedFiles, DamagedFile
 

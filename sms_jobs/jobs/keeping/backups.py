@@ -34,7 +34,7 @@ from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.archive.sealing import sync
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound, OtherFormat, StorageFull
 from sms_jobs.jobs.keeping import host_folders
 from sms_jobs.settings import FILE_NAME, Settings

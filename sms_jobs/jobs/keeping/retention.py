@@ -15,19 +15,18 @@ from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    CalibrationRow,
-    CalibrationUseRow,
-    DependencyRow,
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.checks import FileCheckRow
+from sms_jobs.catalogue.tables.files import (
     FileRow,
-    JobRow,
     PinRow,
     ProvenanceRow,
     ReadingRow,
     ResultRow,
     StatisticRow,
 )
-from sms_jobs.catalogue.tables.checks import FileCheckRow
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.asking import runs
 from sms_jobs.records.job import JobState

@@ -14,7 +14,7 @@ from sms_jobs.archive import Archive
 from sms_jobs.archive.place import probe
 from sms_jobs.catalogue import job_counts, renewal
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import StorageFull, StorageUnusable
 from sms_jobs.jobs.running import queues
 

@@ -13,7 +13,8 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, FileRow, JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.models import EventRow, JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.catalogue.tables.schedules import ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.running import queues

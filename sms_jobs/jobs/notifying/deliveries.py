@@ -18,7 +18,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.tables.people import NotificationRow, SubscriptionRow
+from sms_jobs.catalogue.tables.notifications import NotificationRow, SubscriptionRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.shown.notifications import (
     TEST,

@@ -21,10 +21,11 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import campaigns, subject_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, DependencyRow, EventRow, JobDeviceRow, JobRow, OutboxRow
+from sms_jobs.catalogue.models import CampaignRow, EventRow, JobRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.queues import DependencyRow, JobDeviceRow, OutboxRow
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import PlanOutdated
 from sms_jobs.jobs.archiving import calibration_choice
@@ -230,11 +231,13 @@ def draft(
         elif (job_id := coming(need)) is not None:
             return Existing(job_id=job_id)
         else:
-            file_id = campaigns.newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE)
+            file_id = subject_files.newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE)
             if file_id is not None and _lies_along_frame(need.source) and file_id in turned():
                 # One of the frame that holds goes before a newer one; where there is none, what is made of it
                 # is stale, and told to be.
-                all_of = campaigns.files_newest_first(session, need.source, need.subject, DATASET_MEDIA_TYPE)
+                all_of = subject_files.files_newest_first(
+                    session, need.source, need.subject, DATASET_MEDIA_TYPE
+                )
                 file_id = next((one for one in all_of if one not in turned()), file_id)
         return None if file_id is None else Existing(file_id=file_id)
 

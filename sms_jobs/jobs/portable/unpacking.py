@@ -19,7 +19,7 @@ from sqlalchemy import select
 
 from sms_jobs.archive import Archive, Checker, FolderStore, Found, layout
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.jobs.archiving.repository import Repository

@@ -11,7 +11,9 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Provenance
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import DependencyRow, EventRow, FileRow, JobRow
+from sms_jobs.catalogue.models import EventRow, JobRow
+from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.indexing import source_of
 from sms_jobs.jobs.planning.graph import covering

@@ -18,9 +18,11 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Checker, Found, Provenance, layout
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import subject_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CalibrationRow, FileRow, JobRow
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.calibrations import CalibrationRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat, SmsError
 from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN
@@ -313,7 +315,7 @@ def _newer(session: Session, one: Found) -> int | None:
     if one.sealed.media_type != DATASET_MEDIA_TYPE:
         return None
     subject, source = one.provenance.subject, indexing.source_of(one.provenance)
-    number = campaigns.newest_file(session, source, subject, DATASET_MEDIA_TYPE)
+    number = subject_files.newest_file(session, source, subject, DATASET_MEDIA_TYPE)
     newest = None if number is None else session.get_one(FileRow, number)
     if newest is None or newest.job_id == one.provenance.job_id:
         return None

@@ -13,7 +13,8 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.campaigns import definition
-from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, RigRow
+from sms_jobs.catalogue.models import CampaignRow, JobRow, RigRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns

@@ -12,7 +12,8 @@ from typing import NamedTuple
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, FileRow, LoadStateRow, ReadingRow, RigRow
+from sms_jobs.catalogue.models import CampaignRow, LoadStateRow, RigRow
+from sms_jobs.catalogue.tables.files import FileRow, ReadingRow
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.gauge_limits import Look

@@ -12,7 +12,8 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import CampaignRow, FileRow, JobRow, LoadStateRow, StatisticRow, WorkerRow
+from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
+from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.instruments.kept_sets import finished_sets, forget
 from sms_jobs.jobs.asking.inquiry import find_job

@@ -7,8 +7,9 @@ from datetime import datetime, timedelta
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobDeviceRow, JobRow, QueueRow
+from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
+from sms_jobs.catalogue.tables.queues import JobDeviceRow, QueueRow
 from sms_jobs.jobs.devices import locks
 from sms_jobs.kinds.kind import rig_queue
 from sms_jobs.records.job import SHORT_ID, JobState

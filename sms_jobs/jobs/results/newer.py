@@ -9,8 +9,8 @@ from typing import Any, cast
 from sqlalchemy import Select, Table, bindparam, select, union_all
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import FileRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.files import FileRow
 
 # Every job that could be reused asks this: making the statement takes longer than running it.
 _FILE = cast(Table, FileRow.__table__)

@@ -11,7 +11,8 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import job_counts
-from sms_jobs.catalogue.models import JobCountRow, JobRow, OutboxRow, QueueRow, WorkerRow
+from sms_jobs.catalogue.models import JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.queues import OutboxRow, QueueRow
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 

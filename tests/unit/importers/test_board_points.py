@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns, schema
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.every import METADATA
 from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import SmsError
 from sms_jobs.formats.importers.board_points import (
@@ -83,7 +83,7 @@ def test_points_stand_where_a_job_would_have_put_them(file: Path, tmp_path: Path
         with services.archive.open_unrecorded(path) as dataset:
             assert len(dataset.read(BOARD.name, BOARD.record).point) == 12
         # The archive alone tells all of it again.
-        Table.metadata.drop_all(services.catalogue.engine)
+        METADATA.drop_all(services.catalogue.engine)
         with services.catalogue.writing() as session:
             session.execute(text("DROP TABLE IF EXISTS alembic_version"))
         schema.upgrade(services.catalogue)

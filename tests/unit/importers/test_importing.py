@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue import campaigns, schema
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.every import METADATA
 from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import Conflict, InvalidInput, SmsError
 from sms_jobs.jobs.archiving.importing import amend_campaign, with_states
@@ -186,7 +186,7 @@ def test_imports_are_told_again_by_the_archive(run: Import, tmp_path: Path) -> N
     run("channels", str(table), "--map", "a=a_mm")
     known = campaign_of(tmp_path / "home")
     with bootstrap.services(tmp_path / "home") as services:
-        Table.metadata.drop_all(services.catalogue.engine)
+        METADATA.drop_all(services.catalogue.engine)
         with services.catalogue.writing() as session:
             session.execute(text("DROP TABLE IF EXISTS alembic_version"))
         schema.upgrade(services.catalogue)

@@ -10,7 +10,7 @@ from support.homes import make_home, stored
 from support.sealing import regions
 
 from sms_jobs import bootstrap
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.cli import archived, exporting, portable_data
 from sms_jobs.errors import ArchiveCorrupt
 

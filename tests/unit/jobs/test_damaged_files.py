@@ -13,8 +13,9 @@ from support.archives import Clock, registered, run_jobs
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow, JobRow
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.running import recovery, runner
 from sms_jobs.records.job import JobState
@@ -53,7 +54,7 @@ class Recorded:
 
     def explained(self, job_id: str) -> str:
         with self.catalogue.reading() as session:
-            return " ".join(inquiry.explain(session, session.get_one(JobRow, job_id), self.clock()))
+            return " ".join(explanation.explain(session, session.get_one(JobRow, job_id), self.clock()))
 
 
 @pytest.fixture

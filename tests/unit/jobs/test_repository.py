@@ -15,7 +15,7 @@ from sqlalchemy import event, func, select
 from sms_jobs.archive import Archive, MemoryStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import FileRow
+from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import CommitInDoubt, Conflict
 from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.indexing import CAMPAIGN

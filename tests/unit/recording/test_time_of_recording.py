@@ -13,9 +13,11 @@ from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import DependencyRow, FileRow, JobRow, LoadStateRow, MeasurementRow
+from sms_jobs.catalogue.models import JobRow, LoadStateRow
+from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow
+from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.jobs.archiving.registration import register_calibration, register_campaign
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.jobs.running import recovery
@@ -107,6 +109,6 @@ def test_a_recording_takes_the_calibration_of_its_own_time(services: Services) -
     run(services)
     with services.catalogue.reading() as session:
         assert session.get_one(JobRow, again).reused_from == shape
-        told = inquiry.explain(session, session.get_one(JobRow, shape), now())
+        told = explanation.explain(session, session.get_one(JobRow, shape), now())
     assert not [line for line in told if "stale" in line]
     assert calibration_of(services, again) == valid
