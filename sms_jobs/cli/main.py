@@ -1,58 +1,42 @@
-"""The `sms` command: its groups, and how errors become one sentence and an exit code."""
+"""The program `sms`: how errors become one sentence and an exit code.
+
+What commands consist of is imported with garbage collection off: it stays, and to look for garbage in it
+again and again takes a tenth of a short command. `cli.commands` switches it on once a command is loaded.
+"""
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
 
-import typer
-from typer.exceptions import TyperException
-
-import sms_jobs
-from sms_jobs.cli import output
-from sms_jobs.cli.commands import Commands
 from sms_jobs.errors import SmsError, StorageUnusable
 
 _INTERRUPTED = 130
 _TRUE = frozenset({"1", "true", "t", "yes", "y", "on"})
 
-app = typer.Typer(
-    name="sms",
-    cls=Commands,
-    help="Archive, process and query optical shape, deformation and strain measurements.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
-def _print_version(requested: bool) -> None:
-    if requested:
-        sys.stdout.write(f"sms {sms_jobs.__version__}\n")
-        raise typer.Exit
-
-
-@app.callback()
-def _options(
-    debug: Annotated[bool, typer.Option("--debug", envvar="SMS_DEBUG", help="Show tracebacks.")] = False,
-    version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    """Hold the options of every command."""
-    if debug:
-        os.environ["SMS_DEBUG"] = "1"
-
 
 def main() -> None:
     """Run the command line; exit codes are those of `sms_jobs.errors`."""
     _prepare_streams()
+    gc.disable()
+    try:
+        _run()
+    finally:
+        gc.enable()
+
+
+def _run() -> None:
+    import typer
+    from typer.exceptions import TyperException
+
+    from sms_jobs.cli import output
+    from sms_jobs.cli.app import app
+
     try:
         code = app(standalone_mode=False)
         sys.stdout.flush()
@@ -137,6 +121,8 @@ def _refuse(error: Exception, text: str, code: int) -> None:
     except StorageUnusable:
         if isinstance(sys.stdout, _Answers):
             sys.stdout.drop()
+    from sms_jobs.cli import output
+
     try:
         output.say_error(text)
         sys.stderr.flush()

@@ -31,7 +31,7 @@ from sms_jobs.catalogue.queries.files import find_page, restricted
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, StatisticRow
-from sms_jobs.cli.main import app
+from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.records.shown.files import Page
 from sms_jobs.records.shown.portion import Portion

@@ -19,7 +19,7 @@ from sms_jobs.app.holdings import reading
 from sms_jobs.app.work import found_work, jobs, run_comparison, runs, schedules
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli.main import app
+from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.keeping import retention

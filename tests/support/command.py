@@ -19,7 +19,8 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from sms_jobs.cli.main import app, main
+from sms_jobs.cli.app import app
+from sms_jobs.cli.main import main
 
 SMS = [sys.executable, "-P", "-W", "error::DeprecationWarning:sms_jobs", "-m", "sms_jobs.cli.main"]
 

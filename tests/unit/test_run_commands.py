@@ -10,7 +10,7 @@ import pytest
 from support.homes import make_home
 from typer.testing import CliRunner
 
-from sms_jobs.cli.main import app
+from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 
 

@@ -13,7 +13,7 @@ from support.homes import make_home, stored
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
-from sms_jobs.cli.main import app
+from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.formats.other_fields import read_point_field
 from sms_jobs.records.fields import Mesh

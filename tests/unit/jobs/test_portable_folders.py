@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 from sms_jobs.archive import Archive, Checker, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.cli.main import app
+from sms_jobs.cli.app import app
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
