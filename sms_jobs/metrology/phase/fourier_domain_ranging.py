@@ -39,6 +39,7 @@ from sms_jobs.metrology.phase.ranging.transform import bit_reversal, transform_l
 from sms_jobs.metrology.phase.ranging.weights import fit_weights, sums_of
 from sms_jobs.metrology.phase.response import Response
 
+_PIXELS_AT_ONCE = 2048  # a call takes time, and so does to read a little of each frame; all stays in a cache
 _LEAST_PART = 0.25  # of the densities that must be free of saturation
 
 
@@ -97,22 +98,25 @@ def score_threshold(significance: float, count: int) -> float:
 
 
 @kernel
-def _find_returns(plan: Plan, row: Row) -> None:
+def _find_returns(plan: Plan, row: Row, columns: int) -> None:
     begin_row(plan, row)
-    resolve_row(plan, row)
-    if not row.resolved.all():
-        search_row(plan, row)
+    for start in range(0, row.returns.size, columns):
+        resolve_row(plan, row, start, start + columns)
+        search_row(plan, row, start, start + columns)
 
 
 @kernel
-def _range_row(plan: Plan, ghosts: Ghosts, row: Row, maps: Maps, index: int) -> None:
-    """Find the returns of a row that has been read, in turn with their ghosts, and write them to the maps."""
-    _find_returns(plan, row)
+def _range_row(plan: Plan, ghosts: Ghosts, row: Row, columns: int, maps: Maps, index: int) -> None:
+    """Find the returns of a row that has been read, in turn with their ghosts, and write them to the maps.
+
+    Every `columns` of its pixels are a row of the image, which is ranged by itself.
+    """
+    _find_returns(plan, row, columns)
     if ghosts.rounds > 0:
         recorded = row.signal.copy()
         for _ in range(ghosts.rounds):
             take_out_ghosts(ghosts, plan.first, recorded, row)
-            _find_returns(plan, row)
+            _find_returns(plan, row, columns)
     write_row(plan, row, maps, index)
 
 
@@ -166,14 +170,16 @@ def range_returns(
     noise = 2.0 / steps * camera.read_noise**2, 2.0 / steps * camera.gain, sqrt(steps / 2.0)
     plan = _plan(sequence, window, score_threshold(significance, sequence.count), noise, mtf)
     ghosts = NO_GHOSTS if response is None else ghosts_of(response, sequence, steps)
-    stack = np.ascontiguousarray(frames)
-    rows, columns = stack.shape[1:]
+    rows, columns = frames.shape[1:]
     maps = new_maps(returns, rows, columns)
+    long = columns * _rows_at_once(rows, columns)
+    stack = np.ascontiguousarray(frames).reshape(len(frames), -1, long)
+    long_maps = Maps(*(one.reshape(*one.shape[:-2], -1, long) for one in maps))
     idle: list[Row] = []
 
     def work(start: int, stop: int) -> None:
         # Fresh memory costs more to touch than a row costs to read: blocks hand on their buffers.
-        row = idle.pop() if idle else new_row(returns, sequence.count, columns)
+        row = idle.pop() if idle else new_row(returns, sequence.count, long)
         for index in range(start, stop):
             read_signal(
                 stack,
@@ -185,11 +191,17 @@ def range_returns(
                 row.lost,
                 row.levels,
             )
-            _range_row(plan, ghosts, row, maps, index)
+            _range_row(plan, ghosts, row, columns, long_maps, index)
         idle.append(row)
 
-    in_row_blocks(work, rows, threads, block=4)
+    in_row_blocks(work, stack.shape[1], threads, block=1)
     return Returns(*maps)
+
+
+def _rows_at_once(rows: int, columns: int) -> int:
+    """Return how many rows of an image are read and written as one: a divisor of their number."""
+    most = max(_PIXELS_AT_ONCE // max(columns, 1), 1)
+    return max((n for n in range(1, min(most, rows) + 1) if rows % n == 0), default=1)
 
 
 def _plan(

@@ -373,8 +373,8 @@ def _write(plan: Plan, row: Row, lanes: int, batch: Batch) -> None:
 
 
 @kernel
-def resolve_row(plan: Plan, row: Row) -> None:
-    """Find the returns of the plain pixels of one row, and write them to it."""
+def resolve_row(plan: Plan, row: Row, begin: int, end: int) -> None:
+    """Find the returns of the plain pixels of one row, columns `begin` to `end`, and write them to it."""
     # Each row makes its batches anew: what the heap does not keep from row to row would cost more than it
     # holds.
     batch, deferred = _new_batch(plan.densities), _new_batch(plan.densities)
@@ -386,8 +386,8 @@ def resolve_row(plan: Plan, row: Row) -> None:
     )
     # Of this type from the start: Numba compiles what is called with a literal once more for that literal.
     filled = int(np.int64(0))
-    for start in range(0, row.returns.size, LANES):
-        lanes = min(LANES, row.returns.size - start)
+    for start in range(begin, end, LANES):
+        lanes = min(LANES, end - start)
         _resolve(plan, row, start, lanes, batch, scratch)
         lane = int(np.int64(0))
         while lane < lanes:

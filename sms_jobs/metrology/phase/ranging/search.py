@@ -246,15 +246,17 @@ def _search(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
 
 
 @kernel
-def search_row(plan: Plan, row: Row) -> None:
-    """Find the further returns of the pixels of a row that are not resolved, and write them to it."""
+def search_row(plan: Plan, row: Row, begin: int, end: int) -> None:
+    """Find the further returns of the pixels that are not resolved, columns `begin` to `end`; write them."""
+    if row.resolved[begin:end].all():
+        return
     buffers = _new_buffers(plan, row.estimates.shape[1])
     lanes = 0
-    for column in range(row.returns.size):
+    for column in range(begin, end):
         if not row.resolved[column]:
             buffers.column[lanes] = column
             lanes += 1
-        if lanes == LANES or (lanes > 0 and column == row.returns.size - 1):
+        if lanes == LANES or (lanes > 0 and column == end - 1):
             _begin(plan, row, lanes, buffers)
             _search(plan, row, lanes, buffers)
             lanes = 0
