@@ -377,11 +377,13 @@ def resolve_row(plan: Plan, row: Row, begin: int, end: int) -> None:
     """Find the returns of the plain pixels of one row, columns `begin` to `end`, and write them to it."""
     # Each row makes its batches anew: what the heap does not keep from row to row would cost more than it
     # holds.
-    batch, deferred = _new_batch(plan.densities), _new_batch(plan.densities)
+    batch = _new_batch(plan.densities)
+    # Nothing is deferred where one return is looked for.
+    deferred = _new_batch(plan.densities) if row.estimates.shape[1] > ONE else batch
     scratch = Scratch(
         new_peaks(plan.order.size),
         np.zeros(2 * REGISTERS, np.float32),
-        np.zeros(2 * batch.x.size, np.float32),
+        np.empty(2 * batch.x.size, np.float32),
         np.zeros(LANES, np.bool_),
     )
     # Of this type from the start: Numba compiles what is called with a literal once more for that literal.

@@ -194,16 +194,21 @@ def _interpolate(peaks: Peaks) -> None:
 
     A peak of Re H is a sin(u) / u sampled at u = pi apart, for which the neighbour's share is the offset.
     """
-    spectrum, place, omega, height = peaks.spectrum, peaks.place, peaks.omega, peaks.height
-    n = spectrum.shape[1]
+    place, highest, omega, height = peaks.place, peaks.highest, peaks.omega, peaks.height
+    n, samples = peaks.spectrum.shape[1], peaks.spectrum.reshape(-1)
+    # What is looked up is looked up first: the loop that computes with it is then vectorised.
     for j in range(LANES):
         k = place[j]
         before, after = (k - 1) & (2 * n - 1), (k + 1) & (2 * n - 1)  # n is a power of two
-        here = spectrum[k & 1, k >> 1, j]
-        left, right = spectrum[before & 1, before >> 1, j], spectrum[after & 1, after >> 1, j]
+        # `_keep_highest` has put places into the last bits.
+        highest[j] = samples[np.uint64(((k & 1) * n + (k >> 1)) * LANES + j)]
+        omega[j] = samples[np.uint64(((before & 1) * n + (before >> 1)) * LANES + j)]
+        height[j] = samples[np.uint64(((after & 1) * n + (after >> 1)) * LANES + j)]
+    for j in range(LANES):
+        here, left, right = highest[j], omega[j], height[j]
         beside = max(max(left, right), 0.0)
         offset = beside / (beside + here) if here > 0.0 else 0.0
-        omega[j] = wrapped(pi / n * (k + (offset if right > left else -offset)))
+        omega[j] = wrapped(pi / n * (place[j] + (offset if right > left else -offset)))
         u = pi * offset
         height[j] = here / (1.0 - u * u / 6.0 * (1.0 - u * u / 20.0))
 
