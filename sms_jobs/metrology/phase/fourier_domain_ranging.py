@@ -174,7 +174,7 @@ def range_returns(
     maps = new_maps(returns, rows, columns)
     long = columns * _rows_at_once(rows, columns)
     stack = np.ascontiguousarray(frames).reshape(len(frames), -1, long)
-    long_maps = Maps(*(one.reshape(*one.shape[:-2], -1, long) for one in maps))
+    long_maps = Maps._make(one.reshape(*one.shape[:-2], -1, long) for one in maps)
     idle: list[Row] = []
 
     def work(start: int, stop: int) -> None:
