@@ -16,22 +16,23 @@ from rich.table import Table
 from sms_jobs.bench.compilation import compile_seconds
 from sms_jobs.bench.figures import Figure, Run, machine
 from sms_jobs.bench.groups import all_groups, group_named
-from sms_jobs.bench.published import COLUMNS
 from sms_jobs.bench.studies import all_studies, study_named
 from sms_jobs.bench.study import outputs, write
 from sms_jobs.cli import output
 from sms_jobs.cli.demo import Size
 from sms_jobs.cli.output import Json
+from sms_jobs.discovery import told_names
 
 _WIDE = 240
 
 
 def _group_names(incomplete: str) -> list[str]:
-    return [name for name in sorted(all_groups()) if name.startswith(incomplete)]
+    return [name for name in told_names("sms_jobs.bench.groups", "GROUP") if name.startswith(incomplete)]
 
 
 def _study_names(incomplete: str) -> list[str]:
-    return [name for name in ["list", *sorted(all_studies())] if name.startswith(incomplete)]
+    names = ["list", *told_names("sms_jobs.bench.studies", "STUDY")]
+    return [name for name in names if name.startswith(incomplete)]
 
 
 def bench(
@@ -146,6 +147,8 @@ def study(
         return
     _print_wide(outcome.table.columns, outcome.table.known())
     if outcome.judged:
+        from sms_jobs.bench.published import COLUMNS
+
         _print_wide(COLUMNS, [one.row() for one in outcome.judged])
     output.print_facts(dict(outcome.table.remarks))
     output.say(f"wrote {', '.join(map(str, files))}")

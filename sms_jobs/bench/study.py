@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.app.writing import check_new_file, new_folder, write_file
-from sms_jobs.bench.published import COLUMNS, Judged
 from sms_jobs.errors import InvalidInput
-from sms_jobs.virtual_rig.campaigns import Size
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from sms_jobs.bench.published import Judged
+    from sms_jobs.virtual_rig.campaigns import Size
 
 Cell = str | float | int | None
 
@@ -62,6 +63,8 @@ class Outcome:
         """Return it as plain values, one object a row."""
         found = self.table.as_json()
         if self.judged:
+            from sms_jobs.bench.published import COLUMNS
+
             beside = Table(COLUMNS, [one.row() for one in self.judged], {})
             found["thesis"] = beside.as_json()["rows"]
         return found

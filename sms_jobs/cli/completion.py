@@ -13,6 +13,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
+from sms_jobs.cli.kind_names import EVERYTHING, KINDS
 from sms_jobs.errors import SmsError
 from sms_jobs.records.job import SHORT_ID
 
@@ -63,10 +64,7 @@ def run_names(context: typer.Context, incomplete: str) -> list[str]:
 
 def kind_names(incomplete: str) -> list[tuple[str, str]]:
     """Offer the job kinds."""
-    from sms_jobs.app.work import kinds
-
-    offered = [(kinds.EVERYTHING, "all kinds but simulate")]
-    offered += [(kind.name, kind.summary) for kind in kinds.kinds()]
+    offered = [(EVERYTHING, "all kinds but simulate"), *KINDS.items()]
     return [(name, summary) for name, summary in offered if name.startswith(incomplete)]
 
 

@@ -6,7 +6,7 @@ import typer
 
 from sms_jobs.cli.commands import Command, Commands
 
-_TABLE = {
+TABLE = {
     "find": Command(
         "Find measurements, results and calibrations, the newest first; docs/query.md has the language.",
         "cli.archived",
@@ -107,7 +107,7 @@ _TABLE = {
 
 
 class _Data(Commands):
-    table = _TABLE
+    table = TABLE
 
 
 app = typer.Typer(cls=_Data, help="Measurements and results in the archive.", no_args_is_help=True)

@@ -15,7 +15,6 @@ from typing import Annotated, Any
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.home import demo as demo_
 from sms_jobs.app.work import kernels
 from sms_jobs.app.work.waiting import Waiting
 from sms_jobs.cli import output
@@ -43,6 +42,9 @@ def demo(
 
     Example: sms demo --size full --out /tmp/demo
     """
+    # Which loads the virtual rig: to complete a line takes none of it.
+    from sms_jobs.app.home import demo as demo_
+
     home = bootstrap.initialise(out.absolute()).home
     with bootstrap.services(home) as services, _service(home) as still_there, followed() as show_on_bar:
 

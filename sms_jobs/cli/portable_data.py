@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import writing
-from sms_jobs.app.holdings import packing
-from sms_jobs.app.holdings.packing import CheckedFolder
 from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.calibration.acceptance import used_for
 from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.sizes import size
+
+if TYPE_CHECKING:
+    from sms_jobs.app.holdings.packing import CheckedFolder
 
 _FINDINGS = 6
 
@@ -58,6 +59,8 @@ def pack(
 
     Example: sms data pack -c wing-fatigue --to /media/stick/wing
     """
+    from sms_jobs.app.holdings import packing
+
     with bootstrap.services(home) as services, bars.followed(bars.byte_bar()) as tell:
         done = packing.pack(
             services,
@@ -121,6 +124,8 @@ def unpack(
         _print_faults(checked, "")
         output.say("nothing was unpacked; get the folder again from where it was packed")
         raise typer.Exit(_FINDINGS)
+    from sms_jobs.app.holdings import packing
+
     with bootstrap.services(home) as services, bars.followed(bars.byte_bar()) as tell:
         done = packing.unpack(services, folder, checked, dry_run=dry_run, link=link, tell=tell)
     if as_json:
@@ -163,6 +168,8 @@ def provenance(
 
     Example: sms data provenance 17 --output strain.prov.json; sms data provenance wing-fatigue
     """
+    from sms_jobs.app.holdings import packing
+
     if out is not None:
         writing.check_new_file(out, force, (".json",))
     with bootstrap.services(home) as services:
@@ -176,6 +183,8 @@ def provenance(
 
 
 def _checked(folder: Path) -> CheckedFolder:
+    from sms_jobs.app.holdings import packing
+
     with bars.followed(bars.byte_bar()) as tell:
         return packing.check(folder, tell)
 

@@ -8,8 +8,14 @@ from typing import Any
 import pytest
 from support.homes import make_home
 
+from sms_jobs.app.work import kinds
+from sms_jobs.bench.groups import all_groups
+from sms_jobs.bench.studies import all_studies
 from sms_jobs.cli import completion
+from sms_jobs.cli.kind_names import KINDS
+from sms_jobs.discovery import told_names
 from sms_jobs.kinds import all_kinds
+from sms_jobs.kinds.recording import acquire, names, stream
 
 
 class Line:
@@ -40,5 +46,16 @@ def test_a_half_typed_line_offers_nothing_and_breaks_nothing(made: Path, tmp_pat
     assert completion.state_labels(Line(home=made, campaign="wing"), "") == []  # type: ignore[arg-type]
 
 
-def test_every_kind_is_offered() -> None:
-    assert {name for name, _ in completion.kind_names("")} == {"pipeline", *all_kinds()}
+def test_every_kind_is_offered_as_it_describes_itself() -> None:
+    assert {kind.name: kind.summary for kind in all_kinds().values()} == KINDS
+    assert {name for name, _ in completion.kind_names("")} == {kinds.EVERYTHING, *all_kinds()}
+
+
+def test_groups_and_studies_are_offered_by_the_names_that_they_declare() -> None:
+    assert told_names("sms_jobs.bench.groups", "GROUP") == sorted(all_groups())
+    assert told_names("sms_jobs.bench.studies", "STUDY") == sorted(all_studies())
+
+
+def test_what_records_with_instruments_is_known_by_the_names_of_its_kinds() -> None:
+    assert (acquire.KIND.name, stream.KIND.name) == names.RECORDING
+    assert acquire.KIND.name == names.ACQUIRE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from support.homes import make_home
 
 from sms_jobs.catalogue import schema
 from sms_jobs.cli.commands import COMMANDS
+from sms_jobs.cli.data import TABLE as DATA
 
 COMMAND_LINE = {
     *("sms_jobs", "typer", "annotated_doc", "shellingham", "typing_extensions"),
@@ -51,6 +53,28 @@ STATUS = {
     "records.shown": "estimates planned_recordings",
 }
 """Modules of ours, by folder, that `sms status` loads where nothing is planned and no job is ahead."""
+
+_COMPLETE = """
+import json, os, sys
+import sqlalchemy.orm, typer
+from sms_jobs import bootstrap
+for line in json.loads(sys.argv[1]):
+    print(line, end=":", flush=True)
+    if os.fork() == 0:
+        sys.argv[:] = ["sms"]
+        os.environ |= {"_SMS_COMPLETE": "complete_bash", "COMP_WORDS": line}
+        os.environ["COMP_CWORD"] = str(len(line.split(" ")) - 1)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        from sms_jobs.cli.main import main
+        try:
+            main()
+        finally:
+            os.write(2, " ".join({name.partition(".")[0] for name in sys.modules}).encode() + b"\\n")
+            os._exit(0)
+    os.wait()
+"""
+"""Completes each line in a process of its own, forked off one that has loaded what every command needs."""
+HEAVY = {"numba", "llvmlite", "scipy", "cv2", "h5py", "alembic", "matplotlib", "pandas", "celery", "fastapi"}
 
 
 def modules(*commands: str, home: Path | None = None) -> dict[str, set[str]]:
@@ -117,6 +141,30 @@ def test_what_asks_some_tables_maps_no_others(home: Path) -> None:
     asking = ("status", "job list", "campaign list", "data find", "worker list")
     found = modules(*asking, home=home)
     assert [words for words in asking if "sms_jobs.catalogue.tables.every" in found[words]] == []
+
+
+def test_what_tab_offers_needs_nothing_that_computes(home: Path) -> None:
+    make_home(home, {})
+    lines = [f"sms {name} -" for name in COMMANDS] + [f"sms data {name} -" for name in DATA]
+    lines += [
+        "sms ",
+        "sms data ",
+        "sms import ",
+        "sms acquire ",
+        "sms job submit ",
+        "sms bench ",
+        "sms study ",
+    ]
+    lines += ["sms campaign show ", "sms acquire run plate -s ", "sms job show ", "sms run show "]
+    done = subprocess.run(
+        [sys.executable, "-c", _COMPLETE, json.dumps(lines)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"SMS_HOME": str(home)},
+    )
+    found = dict(zip(lines, (set(line.split()) for line in done.stderr.splitlines()), strict=True))
+    assert {line: names & HEAVY for line, names in found.items() if names & HEAVY} == {}
 
 
 def test_schedules_need_no_more_than_what_reads_their_times(home: Path) -> None:

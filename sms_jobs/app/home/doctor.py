@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import h5py
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -199,6 +198,8 @@ def _one(finding: str | None, what: str = "") -> Examined:
 
 
 def _versions(database: str) -> str:
+    import h5py
+
     return (
         f"sms {sms_jobs.__version__}, Python {platform.python_version()}, HDF5 {h5py.version.hdf5_version}, "
         f"{database}"

@@ -19,7 +19,7 @@ from sms_jobs.jobs.planning.submission import Terms, submit_to
 from sms_jobs.jobs.recording import recordings
 from sms_jobs.jobs.recording.recordings import OpenRecording, PairVerdict, Turn
 from sms_jobs.jobs.running import orders
-from sms_jobs.kinds.recording.acquire import KIND
+from sms_jobs.kinds.recording.names import ACQUIRE
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.rehearsals import DryRun
@@ -108,7 +108,7 @@ def record(
     requests = recordings.requests(states, ask=ask, process=process)
     now, terms = datetime.now(UTC), Terms(by=services.actor.name)
     done = submit_to(services.catalogue, campaign, requests, now, terms)
-    return Started(done.job_ids, done.kinds.count(KIND.name), submitted(done, KIND.name))
+    return Started(done.job_ids, done.kinds.count(ACQUIRE), submitted(done, ACQUIRE))
 
 
 @use_case(Right.COMPUTE)

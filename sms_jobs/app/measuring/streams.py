@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from sms_jobs.app.importing.outcomes import existing_campaign
 from sms_jobs.app.measuring.recordings import Started
 from sms_jobs.app.rules import use_case
 from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
@@ -136,6 +135,7 @@ def _rehearsed(services: Services, campaign: Campaign, parameters: StreamParamet
 
 def _asked(services: Services, task: Task) -> tuple[bool, Campaign, StreamParameters]:
     """Return whether the campaign is there, as which it is or is to be made, and what is asked of its job."""
+    from sms_jobs.app.importing.outcomes import existing_campaign
     from sms_jobs.kinds.recording.stream import KIND, campaigns_of_cameras
 
     existing = existing_campaign(services, task.campaign)

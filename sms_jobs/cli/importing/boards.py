@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.importing.boards import Arranged, Task, arrange_boards, enter
-from sms_jobs.app.importing.image_entry import EntryOptions
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
     AddStates,
@@ -29,6 +27,9 @@ from sms_jobs.cli.importing.outcomes import MOST_SHOWN, confirm, tell_outcome, t
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.sensors import Box
+
+if TYPE_CHECKING:
+    from sms_jobs.app.importing.boards import Arranged
 
 _Six = tuple[float, float, float, float, float, float]
 
@@ -86,6 +87,9 @@ def boards(
     Example: sms import boards dots -c stereo-june --rig stereo --board board.toml --pattern
     'dot_{state}_{camera}.jpeg' --cameras '0=C1 1=C2'
     """
+    from sms_jobs.app.importing.boards import Task, arrange_boards, enter
+    from sms_jobs.app.importing.image_entry import EntryOptions
+
     how = EntryOptions(time_given(recorded_at), newer, dry_run)
     task = Task(
         folder,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.importing.frames import Arranged, Task, arrange_frames, enter, guess
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
     AddStates,
@@ -28,6 +27,9 @@ from sms_jobs.cli.importing.options import (
 from sms_jobs.cli.importing.outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from sms_jobs.app.importing.frames import Arranged, Task
 
 Folder: TypeAlias = Annotated[
     Path, typer.Argument(help="Folder of the frames; its sub-folders belong to it.")
@@ -138,6 +140,8 @@ def frames(
         "camera.read_noise": read_noise,
         "camera.raw": raw,
     }
+    from sms_jobs.app.importing.frames import Task
+
     task = Task(
         folder,
         campaign,
@@ -158,6 +162,8 @@ def _import(
     home: Path | None, task: Task, *, print_layout: bool, ask: bool, dry_run: bool, as_json: bool
 ) -> None:
     """Show what the files are taken for, ask whether that is right, and enter them."""
+    from sms_jobs.app.importing.frames import arrange_frames, enter, guess
+
     with bootstrap.services(home) as services:
         guessed = guess(services, task)
         if print_layout:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.importing.image_entry import EntryOptions
-from sms_jobs.app.importing.images import Arranged, Camera, Task, arrange_images, enter
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.importing.options import (
     AddStates,
@@ -30,6 +28,9 @@ from sms_jobs.cli.importing.options import (
 )
 from sms_jobs.cli.importing.outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
+
+if TYPE_CHECKING:
+    from sms_jobs.app.importing.images import Arranged
 
 Pattern: TypeAlias = Annotated[
     str | None, typer.Option(help="File names, as {camera}/load_{state}.tif; * for anything.")
@@ -80,6 +81,9 @@ def images(
 
     Example: sms import images panel -c panel --cameras 'left=C1 right=C2' --rig stereo
     """
+    from sms_jobs.app.importing.image_entry import EntryOptions
+    from sms_jobs.app.importing.images import Camera, Task, arrange_images, enter
+
     how = EntryOptions(time_given(recorded_at), newer, dry_run)
     task = Task(
         folder,

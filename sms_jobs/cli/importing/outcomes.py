@@ -5,13 +5,16 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import typer
 
-from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.times import parsed_time
+
+if TYPE_CHECKING:
+    from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome
 
 _FINDINGS = 6
 MOST_SHOWN = 20

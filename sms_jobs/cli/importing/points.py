@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.importing.points import Task, import_points
 from sms_jobs.cli import output
 from sms_jobs.cli.importing.options import CampaignName, DryRun, Flatness, PitchSigma
 from sms_jobs.cli.importing.outcomes import time_given
@@ -54,6 +53,8 @@ def points(
     Example: sms import points corners.csv -c june --rig stereo --view C1C2 --size C1=1280x960 --size
     C2=1280x960
     """
+    from sms_jobs.app.importing.points import Task, import_points
+
     task = Task(
         file,
         campaign,

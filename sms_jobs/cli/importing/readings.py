@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.importing.readings import Arranged, Task, arrange_readings, enter
 from sms_jobs.cli import output
 from sms_jobs.cli.importing.options import CampaignName
 from sms_jobs.cli.importing.outcomes import confirm
 from sms_jobs.cli.output import Home, Json
+
+if TYPE_CHECKING:
+    from sms_jobs.app.importing.readings import Arranged
 
 _FINDINGS = 6
 _MOST_SHOWN = 20
@@ -58,6 +60,8 @@ def _command(unit: str, words: str) -> Callable[..., None]:
         home: Home = None,
         as_json: Json = False,
     ) -> None:
+        from sms_jobs.app.importing.readings import Task, arrange_readings, enter
+
         task = Task(
             file,
             campaign,

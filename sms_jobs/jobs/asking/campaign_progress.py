@@ -15,7 +15,7 @@ from sms_jobs.catalogue.models import JobRow, LoadStateRow
 from sms_jobs.catalogue.subjects import at_states
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.recording.acquire import KIND
+from sms_jobs.kinds.recording.names import ACQUIRE
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState
 from sms_jobs.records.shown.state_progress import StateProgress
 from sms_jobs.records.statistic_names import (
@@ -116,7 +116,7 @@ def _jobs(session: Session, campaign_id: int, wanted: ColumnElement[bool]) -> de
         label = labels[subject]
         if label is None:
             continue
-        if kind == KIND.name:
+        if kind == ACQUIRE:
             found[label].recording = state
         elif state in _ACTIVE:
             found[label].active += 1

@@ -1,4 +1,7 @@
-"""What was recorded with instruments: verdicts on what is there, and what waits for an operator."""
+"""What was recorded with instruments: verdicts on what is there, and what waits for an operator.
+
+Instruments are loaded where the spool or a stage is asked: whoever lists states needs none of them.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +18,17 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.instruments.kept_sets import finished_sets, forget
 from sms_jobs.jobs.asking.inquiry import find_job
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
 from sms_jobs.kinds.kind import MEASUREMENT
-from sms_jobs.kinds.recording.acquire import KIND, stage_angles
-from sms_jobs.kinds.recording.stream import KIND as STREAM
+from sms_jobs.kinds.recording.names import ACQUIRE, RECORDING
 from sms_jobs.records.job import ACTIVE, SHORT_ID, JobState
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
 
-RECORDING = (KIND.name, STREAM.name)
-"""The kinds that record with instruments."""
 _WAITING = frozenset({JobState.LOST, JobState.NEEDS_OPERATOR})
 OPEN = (JobState.QUEUED, JobState.RUNNING, JobState.LOST, JobState.NEEDS_OPERATOR, JobState.FAILED)
 
@@ -107,6 +106,8 @@ class OpenRecording:
 
 def open_recordings(session: Session, spool: Path) -> list[OpenRecording]:
     """Return the recordings that run or wait for an operator, oldest first; `spool` is that of this host."""
+    from sms_jobs.instruments.kept_sets import finished_sets
+
     rows = session.execute(
         select(JobRow, WorkerRow.host)
         .outerjoin(WorkerRow, WorkerRow.id == JobRow.worker_id)
@@ -149,7 +150,7 @@ def requests(
     states: tuple[str, ...], *, ask: bool, process: bool, look: Request | None = None
 ) -> list[Request]:
     """Return what records some states, asking about doubtful sets, and looking at and processing each."""
-    found = [Request(KIND.name, {"doubtful": "ask" if ask else "keep"}, states)]
+    found = [Request(ACQUIRE, {"doubtful": "ask" if ask else "keep"}, states)]
     found += [look] if look is not None else []
     return [*found, Request(PIPELINE, {}, states)] if process else found
 
@@ -176,6 +177,8 @@ def turns(states: Sequence[LoadState], *, at_key: bool = False) -> list[Turn]:
     A specimen is loaded by others; with `at_key` somebody says of each state that its load is there. An
     artefact without angles of a stage is placed by hand, pose by pose; one on a stage is mounted once.
     """
+    from sms_jobs.kinds.recording.acquire import stage_angles
+
     found: list[Turn] = []
     mounted: str | None = None
     for state in states:
@@ -209,7 +212,7 @@ def unrecorded(session: Session, name: str) -> tuple[LoadState, ...]:
         for subject in session.scalars(
             select(JobRow.subject)
             .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-            .where(CampaignRow.name == name, JobRow.kind == KIND.name, JobRow.state.in_(OPEN))
+            .where(CampaignRow.name == name, JobRow.kind == ACQUIRE, JobRow.state.in_(OPEN))
         )
     }
     return tuple(s for s in campaign.states if s.label not in recorded | coming)
@@ -268,6 +271,8 @@ def state_value(state: LoadState, channel: str) -> float:
 
 def forget_doubtful(spool: Path) -> list[str]:
     """Have the doubtful sets of a job recorded again; their frames stay. Return their views."""
+    from sms_jobs.instruments.kept_sets import finished_sets, forget
+
     doubtful = [view for view, one in finished_sets(spool).items() if one.verdict.doubts]
     for view in doubtful:
         forget(spool, view)
