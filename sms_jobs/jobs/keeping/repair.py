@@ -189,9 +189,9 @@ def _seal_again(catalogue: Catalogue, archive: Archive, path: str, now: datetime
     name = layout.campaign_of(path)
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
+        definition = CampaignDefinition(campaigns.definition(row), row.plan)
     if not path.endswith("/") and archive.has(path):
         archive.set_aside(path)
-    definition = CampaignDefinition(campaigns.definition(row), row.plan)
 
     def forget(session: Session) -> None:
         old = session.scalar(select(FileRow.id).where(FileRow.path == path))
