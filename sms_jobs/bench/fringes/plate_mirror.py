@@ -96,13 +96,14 @@ class Plate:
         omega, sigma = chosen.omega, chosen.omega_sigma
         known: Mask = np.asarray(np.isfinite(omega).all(axis=0))
         light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)
-        _, beside, _ = correct_texture(
+        corrected = correct_texture(
             omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads
         )
         noise = measurement.noise(frames.mean(axis=0, dtype=np.float32))
         weak = (chosen.amplitude < ReconstructParameters().minimum_modulation_to_noise * noise).any(axis=0)
         points = pair.meet(omega, sigma)
-        bad = outside_box(points.xyz, volume.low, volume.high) | np.isnan(points.xyz[0]) | weak | beside
+        bad = outside_box(points.xyz, volume.low, volume.high) | np.isnan(points.xyz[0]) | weak
+        bad |= corrected.beside
         points.xyz[:, bad] = np.nan
         reason = np.where(bad, np.uint32(Reason.OUT_OF_VOLUME), np.uint32(Reason.VALID))
         return Surface("C1P1", "mm", points.xyz, reason, points.covariance, points.ray_gap)

@@ -108,7 +108,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     found = find_phases(task, progress)
     phase, reason = found.maps, found.reason
     check_directions(inputs.subject, geometry, phase, reason == Reason.VALID)
-    blur, beside, part = correct_texture(
+    corrected = correct_texture(
         phase.omega,
         phase.omega_sigma,
         phase.modulation,
@@ -119,10 +119,10 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         threads=inputs.threads,
     )
     progress(0.9, "corrected for the texture")
-    points = pair.meet(phase.omega, phase.omega_sigma, part=part)
-    mark_points(points, geometry, parameters, reason, beside)
+    points = pair.meet(phase.omega, phase.omega_sigma, part=corrected.part)
+    mark_points(points, geometry, parameters, reason, corrected.beside, corrected.doubtful)
     surface = as_surface(str(inputs.view), points, reason)
-    statistics = _statistics(points, phase, reason, blur)
+    statistics = _statistics(points, phase, reason, corrected.blur)
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
     factor = calibration_factor(inputs, _CALIBRATION, calibration, measurement.sequence.orientations_rad)
     if factor is not None:
@@ -195,7 +195,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=17,
+    version=18,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -64,7 +64,7 @@ def sparse_surface(
     found = find_phases(PhaseTask(inputs.subject, measurement, _PARAMETERS, threads, geometry), progress)
     phase, reason = found.maps, found.reason
     check_directions(inputs.subject, geometry, phase, reason == Reason.VALID)
-    _, beside, part = correct_texture(
+    corrected = correct_texture(
         phase.omega,
         phase.omega_sigma,
         phase.modulation,
@@ -79,9 +79,12 @@ def sparse_surface(
     points = thinned.pair.meet(
         np.ascontiguousarray(phase.omega[:, chosen, chosen]),
         np.ascontiguousarray(phase.omega_sigma[:, chosen, chosen]),
-        part=np.ascontiguousarray(part[:, chosen, chosen]),
+        part=np.ascontiguousarray(corrected.part[:, chosen, chosen]),
     )
-    mark_points(points, thinned, _PARAMETERS, reason, np.ascontiguousarray(beside[chosen, chosen]))
+    beside, doubtful = (
+        np.ascontiguousarray(mask[chosen, chosen]) for mask in (corrected.beside, corrected.doubtful)
+    )
+    mark_points(points, thinned, _PARAMETERS, reason, beside, doubtful)
     return as_surface(str(inputs.view), points, reason)
 
 

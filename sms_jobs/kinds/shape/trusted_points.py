@@ -69,12 +69,18 @@ def gap_sigma_px(inputs: Inputs, port: Port, parameters: PhaseParameters, calibr
 
 
 def mark_points(
-    points: Triangulation, geometry: Geometry, parameters: PhaseParameters, reason: Reasons, beside: Mask
+    points: Triangulation,
+    geometry: Geometry,
+    parameters: PhaseParameters,
+    reason: Reasons,
+    beside: Mask,
+    doubtful: Mask,
 ) -> None:
     """Mark the pixels whose point cannot be trusted.
 
     One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume. One
     whose light comes from `beside` it sees past an edge, or is the rim of a dark speckle: that is no edge.
+    One of which that is `doubtful` counts where the surface goes on.
     """
     mark(reason, beside, Reason.OUTSIDE_REGION)
     pair, volume = geometry.pair, geometry.volume
@@ -88,8 +94,9 @@ def mark_points(
         parameters.maximum_ray_gap_to_noise,
     )
     mark(reason, apart, Reason.LARGE_RAY_GAP)
+    within = _on_one_surface(points, pair, reason == Reason.VALID, beside | doubtful)
+    mark(reason, doubtful & ~within, Reason.OUTSIDE_REGION)
     known = reason == Reason.VALID
-    within = _on_one_surface(points, pair, known, beside)
     mark(reason, at_edge(known, _SMALLEST_GAP, within), Reason.OUTSIDE_REGION)
     asked = reason == Reason.VALID
     mixed, off = between_surfaces(

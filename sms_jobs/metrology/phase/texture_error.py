@@ -296,6 +296,31 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating, rough: F
     return Blur(variance, float((information + _PRECISION) ** -0.5), float(np.sqrt(rough_square)))
 
 
+@dataclass(frozen=True)
+class Corrected:
+    """What a correction for texture says.
+
+    Attributes
+    ----------
+    blur
+        As it was found.
+    beside
+        (rows, columns): the usable pixels whose light comes from farther off than it may. They see past the
+        edge of a surface or a shadow, or are the rim of a dark speckle.
+    doubtful
+        (rows, columns): those of which the spline of the brightness alone says so. It rings in the dark; but
+        a narrow shadow, which has no light of its own, it tells better than that of the logarithm.
+    part
+        (orientations, rows, columns): which part of the square of sigma is what may be left. That has no mean
+        over a blob of texture, whose sides hide as much of either sign.
+    """
+
+    blur: Blur
+    beside: Mask
+    doubtful: Mask
+    part: Singles
+
+
 def correct_texture(
     omega: Floats,
     omega_sigma: Singles,
@@ -306,7 +331,7 @@ def correct_texture(
     blur_px: float | None = None,
     maximum_shift_px: float = np.inf,
     threads: int = 1,
-) -> tuple[Blur, Mask, Singles]:
+) -> Corrected:
     """Take the texture's error out of omega, in place, and put what may be left of it into its sigma.
 
     Parameters
@@ -325,12 +350,6 @@ def correct_texture(
     maximum_shift_px
         How far off its centre a pixel's light may come from.
 
-    Returns
-    -------
-    The blur; the usable pixels whose light comes from farther off: they see past the edge of a surface or a
-    shadow, or are the rim of a dark speckle; and (orientations, rows, columns) which part of the square of
-    sigma is what may be left. That has no mean over a blob of texture, whose sides hide as much of either
-    sign.
     """
     brightness = modulation.mean(axis=0)
     gradient, rough = log_gradient(brightness, usable), roughness(brightness)
@@ -347,7 +366,10 @@ def correct_texture(
         if abs(blur.variance - variance) <= _SETTLED * blur.variance:
             break
         variance = blur.variance
-    beside = usable & (blur.variance * np.hypot(gradient[0], gradient[1]) > maximum_shift_px)
+    beside, doubtful = (
+        usable & (blur.variance * np.hypot(slope[0], slope[1]) > maximum_shift_px)
+        for slope in (gradient, relative_gradient(brightness))
+    )
     left = np.hypot((blur.variance_sigma * shift).astype(np.float32), np.float32(blur.rough_px) * spread)
     np.hypot(omega_sigma, left, out=omega_sigma)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -355,7 +377,7 @@ def correct_texture(
     # The other side of a blob at the border is not seen.
     part[:, [0, -1]] = part[:, :, [0, -1]] = 0.0
     omega[...] = corrected
-    return blur, beside, part
+    return Corrected(blur, beside, doubtful, part)
 
 
 def _certain(blur: Blur) -> FindBlur:
