@@ -9,6 +9,8 @@ it, or somebody has to say that no number changes:
     .venv/bin/python ops/kinds_lock.py --same-numbers strain "only names"
                                                           note one whose numbers stay, and why
 
+It writes `sms_jobs/cli/kinds.json`, too: names and summaries of all kinds, for the shell to offer.
+
 The digest covers the kind's module and every module of this project that it needs, however indirectly, but
 for comments, docstrings and the modules of NEUTRAL, which carry numbers and make none. A kind whose jobs are
 never run again, a recording, has no line: nothing of it is reused.
@@ -19,6 +21,7 @@ from __future__ import annotations
 import argparse
 import ast
 import hashlib
+import json
 import sys
 import tomllib
 from dataclasses import dataclass
@@ -29,6 +32,7 @@ import grimp
 
 ROOT = Path(__file__).parents[1]
 LOCK = ROOT / "ops" / "kinds.lock"
+OFFERED = ROOT / "sms_jobs" / "cli" / "kinds.json"
 NEUTRAL = frozenset(
     {
         "sms_jobs",
@@ -139,6 +143,14 @@ def locked() -> dict[str, Locked]:
     return {name: Locked(**entry) for name, entry in tomllib.loads(LOCK.read_text("utf-8")).items()}
 
 
+def offered() -> str:
+    """Return what the shell is to offer, as the kinds have it."""
+    from sms_jobs.kinds import all_kinds
+
+    kinds = {name: kind.summary for name, kind in sorted(all_kinds().items())}
+    return json.dumps(kinds, indent=1) + "\n"
+
+
 def complaints(now: dict[str, Locked], noted: dict[str, Locked]) -> list[str]:
     """Return what somebody has to decide, kind by kind."""
     said = []
@@ -206,7 +218,12 @@ def main() -> int:
     if given.write or why:
         noted = updated(now, noted, why)
         LOCK.write_text(_text(noted), encoding="utf-8")
+        OFFERED.write_text(offered(), encoding="utf-8")
     said = complaints(now, noted)
+    if not OFFERED.exists() or OFFERED.read_text("utf-8") != offered():
+        said.append(
+            f"{OFFERED.relative_to(ROOT)} has not all kinds as they are: run ops/kinds_lock.py --write"
+        )
     sys.stdout.write("".join(f"{line}\n" for line in said))
     return 1 if said else 0
 

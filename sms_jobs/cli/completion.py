@@ -5,7 +5,9 @@ Every command knows these functions, and few runs of one call them: they import 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -13,13 +15,13 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.cli.kind_names import EVERYTHING, KINDS
 from sms_jobs.errors import SmsError
 from sms_jobs.records.job import SHORT_ID
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign
 
+EVERYTHING = "pipeline"
 _JOBS_OFFERED = 200
 
 Offered = TypeVar("Offered", str, tuple[str, str])
@@ -63,8 +65,9 @@ def run_names(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def kind_names(incomplete: str) -> list[tuple[str, str]]:
-    """Offer the job kinds."""
-    offered = [(EVERYTHING, "all kinds but simulate"), *KINDS.items()]
+    """Offer the job kinds, as `ops/kinds_lock.py` has listed them: to import all of them takes seconds."""
+    kinds = json.loads(resources.files(__package__).joinpath("kinds.json").read_text("utf-8"))
+    offered = [(EVERYTHING, "all kinds but simulate"), *kinds.items()]
     return [(name, summary) for name, summary in offered if name.startswith(incomplete)]
 
 

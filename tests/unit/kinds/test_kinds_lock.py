@@ -31,6 +31,7 @@ def found(lock: Any) -> Any:
 
 def test_every_kind_is_noted_as_it_is(lock: Any, found: Any) -> None:
     assert lock.complaints(found, lock.locked()) == []
+    assert lock.OFFERED.read_text("utf-8") == lock.offered()
 
 
 def test_recordings_are_never_reused_and_have_no_line(found: Any) -> None:
