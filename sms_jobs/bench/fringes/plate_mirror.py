@@ -97,7 +97,7 @@ class Plate:
         known: Mask = np.asarray(np.isfinite(omega).all(axis=0))
         light = np.sqrt(np.nansum([f.amplitude**2 for f in found], axis=1)).astype(np.float32)
         corrected = correct_texture(
-            omega, sigma, light, known, pair.meet, maximum_shift_px=0.5, threads=threads
+            omega, sigma, light, known, known, pair.meet, maximum_shift_px=0.5, threads=threads
         )
         noise = measurement.noise(frames.mean(axis=0, dtype=np.float32))
         weak = (chosen.amplitude < ReconstructParameters().minimum_modulation_to_noise * noise).any(axis=0)

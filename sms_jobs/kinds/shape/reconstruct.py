@@ -113,6 +113,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         phase.omega_sigma,
         phase.modulation,
         reason == Reason.VALID,
+        reason & Reason.LOW_MODULATION == 0,
         None if measurement.sequence.striped else pair.meet,
         blur_px=parameters.blur_px,
         maximum_shift_px=parameters.maximum_shift_px,
@@ -195,7 +196,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=18,
+    version=19,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -69,6 +69,7 @@ def sparse_surface(
         phase.omega_sigma,
         phase.modulation,
         reason == Reason.VALID,
+        reason & Reason.LOW_MODULATION == 0,
         pair.meet,
         maximum_shift_px=LARGEST_SHIFT_PX,
         threads=threads,

@@ -72,20 +72,20 @@ FindBlur: TypeAlias = Callable[[Floats, Singles], Blur]
 """Tells the blur from what `texture_shift` returns."""
 
 
-def log_gradient(brightness: Floating, usable: Mask) -> Floats:
+def log_gradient(brightness: Floating, lit: Mask) -> Floats:
     """Return the gradient of ln(brightness) along columns and rows, (2, rows, columns) in 1/px.
 
     Of the logarithm's spline: that of the brightness itself rings beside a bright place by more than a dark
-    one has. Near what is not `usable` (rows, columns), where darkness has no logarithm, of the brightness all
+    one has. Near what is not `lit` (rows, columns), since darkness has no logarithm, of the brightness all
     the same. The outermost pixels of the image, where a spline would have to know what lies beyond, have no
     gradient across the border.
     """
     import cv2
 
     image = np.asarray(brightness, dtype=np.float64)
-    usable = usable & (image > 0.0)
-    rim = at_edge(usable, _SMALLEST_GAP)
-    gradient = _spline_gradient(_logarithm(image, usable & ~rim))
+    lit = lit & (image > 0.0)
+    rim = at_edge(lit, _SMALLEST_GAP)
+    gradient = _spline_gradient(_logarithm(image, lit & ~rim))
     near = cv2.dilate(rim.astype(np.uint8), np.ones(_RINGING_PX, np.uint8)).astype(bool)
     gradient[:, near] = relative_gradient(image)[:, near]
     return gradient
@@ -326,6 +326,7 @@ def correct_texture(
     omega_sigma: Singles,
     modulation: Singles,
     usable: Mask,
+    lit: Mask,
     meet: Meet | None,
     *,
     blur_px: float | None = None,
@@ -342,6 +343,8 @@ def correct_texture(
         (orientations, rows, columns), in grey levels.
     usable
         (rows, columns): whose omega can be used.
+    lit
+        (rows, columns): whose modulation is known, whatever their omega is.
     meet
         Gives the ray gaps that tell the blur; not called for one orientation or with `blur_px`. None where
         gaps do not tell it, as those of stripes, whose omega has steps: it is then `UNKNOWN`.
@@ -352,7 +355,7 @@ def correct_texture(
 
     """
     brightness = modulation.mean(axis=0)
-    gradient, rough = log_gradient(brightness, usable), roughness(brightness)
+    gradient, rough = log_gradient(brightness, lit), roughness(brightness)
     if blur_px is not None or meet is None or len(omega) == 1:
         known = UNKNOWN if blur_px is None else Blur(blur_px**2, 0.0, UNKNOWN.rough_px if blur_px else 0.0)
         find_blur = _certain(known)
