@@ -98,7 +98,7 @@ def _apart(home: Path, first: int, others: Sequence[int]) -> Mapping[int, Compar
     }
 
 
-def compare(services: Services, first: int, other: int) -> Compared:
+def _compare(services: Services, first: int, other: int) -> Compared:
     """Read two calibrations and compare them, view by view."""
     from sms_jobs.jobs.archiving import calibrations
 
@@ -122,7 +122,7 @@ def compare(services: Services, first: int, other: int) -> Compared:
 def main(home: Path, first: int, others: Sequence[int]) -> None:
     """Print how calibrations compare with the first."""
     with bootstrap.services(home) as services:
-        found = {number: compare(services, first, number) for number in others}
+        found = {number: _compare(services, first, number) for number in others}
     sys.stdout.write(json.dumps(found) + "\n")
 
 

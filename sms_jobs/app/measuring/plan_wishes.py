@@ -84,10 +84,10 @@ class PlanWish:
 
     def _require_ranges(self) -> None:
         if self.every_s is not None and not 1.0 <= self.every_s <= LONGEST_EVERY_S:
-            raise InvalidInput(f"`every_s` is {self.every_s:g}; give 1 s to {LONGEST_EVERY_S:g} s")
+            raise InvalidInput(f"every_s is {self.every_s:g}; give 1 s to {LONGEST_EVERY_S:g} s")
         if not 0.0 <= self.hold_s <= LONGEST_HOLD_S:
-            raise InvalidInput(f"`hold_s` is {self.hold_s:g}; give 0 s to {LONGEST_HOLD_S:g} s")
+            raise InvalidInput(f"hold_s is {self.hold_s:g}; give 0 s to {LONGEST_HOLD_S:g} s")
         if self.at_cycles is not None and not 1 <= len(self.at_cycles) <= MOST_COUNTS:
             raise InvalidInput(
-                f"`at_cycles` has {len(self.at_cycles)} numbers of cycles; give 1 to {MOST_COUNTS}"
+                f"at_cycles has {len(self.at_cycles)} numbers of cycles; give 1 to {MOST_COUNTS}"
             )

@@ -69,7 +69,8 @@ def commands() -> tuple[Leaf, ...]:
     """Return every command of `sms`."""
     from typer.main import get_command
 
-    app = sys.modules[entry_point().__module__].app
+    from sms_jobs.cli.app import app
+
     return tuple(leaves(get_command(app)))
 
 
