@@ -76,7 +76,7 @@ def mark_points(
     beside: Mask,
     doubtful: Mask,
 ) -> None:
-    """Mark the pixels whose point cannot be trusted.
+    """Mark the pixels whose point cannot be trusted, and add to the covariance of others what they are off.
 
     One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume. One
     whose light comes from `beside` it sees past an edge, or is the rim of a dark speckle: that is no edge.

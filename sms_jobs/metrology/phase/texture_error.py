@@ -352,7 +352,6 @@ def correct_texture(
         Standard deviation of the spot, if it is known.
     maximum_shift_px
         How far off its centre a pixel's light may come from.
-
     """
     brightness = modulation.mean(axis=0)
     gradient, rough = log_gradient(brightness, lit), roughness(brightness)

@@ -31,6 +31,7 @@ _CURVES = (1.0, 0.0, 0.0)  # of what two planes differ by: what they may miss a 
 _AXES = ((0, 1), (1, 0), (1, 1), (1, -1))  # (down, right)
 _REACH = (2, 3)  # px to the middle of a plane: planes of 3 x 3 px that leave the pixel itself out
 _SPAN = 4  # px from which planes are told
+_STEP = 2.0 * _NEAR * sqrt(1.0 + 29.0 / 18.0)  # deviations; 29/18 is the variance of the farther plane, below
 _HOLDS = 3
 _BESIDE = np.ones((3, 3), np.uint8)
 
@@ -90,10 +91,11 @@ def _plane(inverse: Floats, sigma: Floats, row: int, column: int, down: int, rig
 def _mark_steps(
     inverse: Floats, sigma: Floats, row: int, footprint: float, stepped: NDArray[np.uint8]
 ) -> None:
-    """Set bit a for pixels of a row that may lie on a jump along axis a; on a plane for one in a hundred.
+    """Set bit a for pixels of a row that may lie on a jump along axis a; on a plane for one in 70.
 
     There lines through the pixels 2 and 4 px away on either side are a step apart, or one of them is missing.
-    Each line has a variance of 5, and two that miss a point by 2.4 deviations from either side are 8 apart.
+    Each line has a variance of 5, so that two are as far apart by chance for one in 70. The farther planes,
+    of 3 x 3 px and 3 px away, have 1 / 9 + 9 / 6: two that miss a point from either side are `_STEP` apart.
     """
     columns = stepped.size
     stepped[:] = 15
@@ -110,7 +112,7 @@ def _mark_steps(
         bit = np.uint8(1 << axis)
         for j in range(inner):
             apart = abs((2.0 * second[j] - first[j]) - (2.0 * third[j] - fourth[j]))
-            near = apart < 8.0 * deviation[j] + _BEND * footprint * own[j]
+            near = apart < _STEP * deviation[j] + _BEND * footprint * own[j]
             inside[j] |= np.uint8(0) if near else bit
 
 
@@ -199,15 +201,19 @@ def _mixed_rows(
 
 
 @kernel
-def _excess(inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, at: Floats) -> float:
+def _excess(
+    inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, bend: float, at: Floats
+) -> float:
     """Return the variance that a pixel is off what an axis says by, beyond what noise explains.
 
     The planes of either side say it, and the two of one side together: a bend makes the farther one miss by
-    9/4 of what the nearer one does, light of another surface by the same. What explains most counts.
+    9/4 of what the nearer one does, light of another surface by the same, so that 9/5 of the one less 4/5 of
+    the other is what is no bend. They share six pixels and thereby 1/6 of the nearer one's variance. What
+    explains most counts. It is 0 unless the sides contradict each other: else there is no second surface.
     """
     row, column = pixel
     here, own = inverse[row, column], sigma[row, column] ** 2
-    least = np.inf
+    least, before, before_variance = np.inf, np.nan, 0.0
     for side in (-1, 1):
         near, near_variance = np.nan, 0.0
         for reach in _REACH:
@@ -215,12 +221,18 @@ def _excess(inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int,
                 continue
             off, variance = here - at[0], at[1]
             least = min(least, off * off - variance - own)
-            if reach == _REACH[0]:
+            if np.isnan(near):
                 near, near_variance = off, variance
-            elif not np.isnan(near):
+            else:
                 straight = 1.8 * near - 0.8 * off
-                least = min(least, straight**2 - 3.24 * near_variance - 0.64 * variance - own)
-    return max(least, 0.0) if least < np.inf else 0.0
+                shared = 2.0 * 1.8 * 0.8 * near_variance / 6.0
+                of_both = 1.8**2 * near_variance + 0.8**2 * variance - shared
+                least = min(least, straight**2 - of_both - own)
+        if side < 0:
+            before, before_variance = near, near_variance
+        elif not (near - before) ** 2 > _NEAR**2 * (near_variance + before_variance) + bend**2:
+            return 0.0
+    return max(least, 0.0)
 
 
 @kernel
@@ -238,7 +250,7 @@ def _excess_rows(
                 at[2] = 0.25 * bend * bend
                 for axis, (down, right) in enumerate(_AXES):
                     if stepped[column] >> axis & 1:
-                        found = _excess(inverse, sigma, (row, column), down, right, at)
+                        found = _excess(inverse, sigma, (row, column), down, right, bend, at)
                         variance[row, column] = max(variance[row, column], found)
 
 
@@ -268,8 +280,9 @@ def between_surfaces(
 
     Returns
     -------
-    (rows, columns): these pixels; and the depth, in mm, by which others beside a jump are off the nearest
-    plane beyond what noise explains: light of the other surface that is too little to be told.
+    (rows, columns): these pixels; and the depth, in mm, by which others between planes that contradict each
+    other are off the nearest one beyond what noise explains: light of the other surface, too little to be
+    told.
 
     Notes
     -----

@@ -152,7 +152,7 @@ def test_black_speckles_on_white_are_measured() -> None:
     z = error_in_sigmas(cloud, painted.shape)
     # As with weaker speckles, below: what the correction leaves is stated to a quarter.
     assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.25)
-    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.25)
+    assert 0.75 < np.sqrt(np.mean(z**2)) < 1.1
     assert output.statistics["blur_px"] == pytest.approx(np.sqrt(0.25 + 1.0 / 12.0), abs=0.03)
 
 
@@ -162,9 +162,8 @@ def test_the_textures_error_is_corrected_and_the_rest_is_stated(speckled: Tuple)
     z = error_in_sigmas(corrected, speckled.shape)
     # What the correction leaves is not Gaussian: its size is stated to a quarter.
     assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.25)
+    # In millimetres: uncorrected, it looks in part like light of a surface beside, and enters the deviation.
     assert np.median(error_mm(raw, speckled.shape)) > 3.0 * np.median(error_mm(corrected, speckled.shape))
-    # Uncorrected, it looks like light of a surface beside: points are off their neighbours, and say so.
-    assert np.median(error_in_sigmas(raw, speckled.shape)) < 1.0
     # The rig's lens blurs by 0.5 px, its pixels are squares of variance 1/12.
     assert output.statistics["blur_px"] == pytest.approx(np.sqrt(0.25 + 1.0 / 12.0), abs=0.03)
 
