@@ -18,10 +18,11 @@ from typing import NamedTuple, TypeAlias
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat, SmsError
+from sms_jobs.errors import ArchiveCorrupt, InvalidInput, NotFound, OtherFormat, SmsError, StorageUnusable
 from sms_jobs.records.shown.files import CalibrationView
 
 _KEPT = 1000
+_WITHIN_S = 120.0  # a dozen take some seconds; where an archive does not answer, no page may wait for ever
 
 
 class Pair(NamedTuple):
@@ -87,7 +88,15 @@ def _apart(home: Path, first: int, others: Sequence[int]) -> Mapping[int, Compar
     command = [sys.executable, "-P", "-m", __name__, str(home), *map(str, (first, *others))]
     # Matrices are small: a second thread would only wait for the first, at full speed.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, env=alone, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(
+            command, env=alone, capture_output=True, text=True, check=False, timeout=_WITHIN_S
+        )
+    except subprocess.TimeoutExpired as error:
+        raise StorageUnusable(
+            f"calibrations {first} and {others[0]} could not be compared within {_WITHIN_S:g} s; check "
+            "whether the archive's disk answers, and open the page again"
+        ) from error
     if done.returncode:
         said = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise SmsError(f"calibrations {first} and {others[0]} could not be compared: {said}; report it")
