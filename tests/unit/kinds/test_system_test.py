@@ -13,6 +13,10 @@ from sms_jobs.app.calibrating.system_tests import BarCertificate, PlateCertifica
 from sms_jobs.kinds.calibration import system_test
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.shape import reconstruct
+from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.targets.sphere_fit import ray_residuals
+from sms_jobs.metrology.targets.sphere_layout import SphereLayout
+from sms_jobs.metrology.targets.spheres import find_spheres
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.sensors import Calibration
@@ -83,6 +87,29 @@ def test_a_bar_has_its_length_before_an_exact_rig(bars: Shelf) -> None:
     assert (found.points > 800).all()
 
 
+def test_no_point_of_a_ball_is_further_off_than_it_says(bars: Shelf) -> None:
+    """Its limb bends within a pixel, which moves a point by more than noise does, and says so."""
+    camera = rig()[0].rig.sensor("C1").pose.centre()
+    for state in bars.campaign.states:
+        subject = Subject(bars.campaign.name, state.label, "C1P1")
+        surface: Surface = bars.records["reconstruct", subject]["surface"]
+        known = surface.reason == 0
+        sigma = np.where(known, np.sqrt(position_covariance(surface)[[0, 3, 5]].sum(axis=0)), np.nan)
+        points = np.where(known, surface.position, np.nan)
+        of = SphereLayout(bar_length_mm=BAR.length_mm)
+        for sphere in find_spheres(points, sigma, BAR.radius_mm, camera, layout=of).spheres:
+            from_centre = np.linalg.norm(points.T - sphere.centre, axis=2).T
+            near = from_centre < 1.2 * BAR.radius_mm
+            rays = (points[:, near] - camera[:, None]).T
+            distance = np.linalg.norm(rays, axis=1)
+            off, _, sine = ray_residuals(
+                rays / distance[:, None], distance, sphere.centre - camera, BAR.radius_mm
+            )
+            assert (sine > 0.9).sum() > 10
+            # Of 700 Gaussian points one in 2,500 spheres has one beyond five deviations.
+            assert np.abs(off / sigma[near]).max() < 5.0
+
+
 def test_length_is_distance_and_both_radii(bars: Shelf) -> None:
     found = errors_of(bars)
     of = dict(zip(found.quantities[:4], found.error[:4], strict=True))
@@ -91,19 +118,20 @@ def test_length_is_distance_and_both_radii(bars: Shelf) -> None:
     assert abs(other) <= abs(of["probing-size"]) + 1e-9
 
 
-@pytest.mark.parametrize("part", [0.002, 0.02])
-def test_no_more_is_left_out_than_may_be(bars: Shelf, part: float) -> None:
+@pytest.mark.parametrize("many", [False, True])
+def test_no_more_is_left_out_than_may_be(bars: Shelf, many: bool) -> None:
     subject = Subject("check-bar", "B01", "C1P1")
     surface: Surface = bars.records["reconstruct", subject]["surface"]
     rows, columns = np.nonzero(surface.reason == 0)
-    # Far apart: together they would be a thing before the sphere.
-    some = np.arange(0, len(rows), round(1.0 / part))
+    # One of some 660 in the middle of a sphere is 0.15 %, 0.3 % may be left out. Many are far apart: together
+    # they would be a thing before the sphere.
+    some = np.arange(0, len(rows), 50) if many else np.argsort(columns)[[len(rows) // 4]]
     position = surface.position.copy()
     position[2, rows[some], columns[some]] -= 2.0
     shelf = Shelf(bars.campaign, 1, dict(bars.records))
     shelf.records["reconstruct", subject] = {"surface": replace(surface, position=position)}
     found = errors_of(shelf)
-    if part > 0.003:
+    if many:
         assert all("points of a feature lie off its surface" in why for why in found.missing[:4])
         assert np.isnan(found.error[:4]).all()
     else:
