@@ -25,6 +25,7 @@ from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge
+from sms_jobs.metrology.phase.bend_error import half_laplacian
 
 Floating = NDArray[np.floating]
 
@@ -333,7 +334,7 @@ def correct_texture(
     maximum_shift_px: float = np.inf,
     threads: int = 1,
 ) -> Corrected:
-    """Take the texture's error out of omega, in place, and put what may be left of it into its sigma.
+    """Take the errors of texture and bend out of omega, in place, and put what may be left into its sigma.
 
     Parameters
     ----------
@@ -374,11 +375,14 @@ def correct_texture(
     )
     left = np.hypot((blur.variance_sigma * shift).astype(np.float32), np.float32(blur.rough_px) * spread)
     np.hypot(omega_sigma, left, out=omega_sigma)
+    bend, unsure = half_laplacian(corrected, omega_sigma, usable, threads)
+    np.hypot(omega_sigma, (blur.variance * unsure).astype(np.float32), out=omega_sigma)
+    np.hypot(omega_sigma, (blur.variance_sigma * bend).astype(np.float32), out=omega_sigma)
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.nan_to_num(np.square(left / omega_sigma), copy=False)
     # The other side of a blob at the border is not seen.
     part[:, [0, -1]] = part[:, :, [0, -1]] = 0.0
-    omega[...] = corrected
+    omega[...] = corrected - blur.variance * bend
     return Corrected(blur, beside, doubtful, part)
 
 

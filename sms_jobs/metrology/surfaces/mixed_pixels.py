@@ -201,17 +201,19 @@ def _mixed_rows(
 
 
 @kernel
-def _excess(inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, at: Floats) -> float:
+def _excess(
+    inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, bend: float, at: Floats
+) -> float:
     """Return the variance that a pixel is off what an axis says by, beyond what noise explains.
 
     The planes of either side say it, and the two of one side together: a bend makes the farther one miss by
     9/4 of what the nearer one does, light of another surface by the same, so that 9/5 of the one less 4/5 of
     the other is what is no bend. They share six pixels and thereby 1/6 of the nearer one's variance. What
-    explains most counts.
+    explains most counts. Sides that agree with each other are of one surface, and nothing is added.
     """
     row, column = pixel
     here, own = inverse[row, column], sigma[row, column] ** 2
-    least = np.inf
+    least, before, before_variance = np.inf, np.nan, 0.0
     for side in (-1, 1):
         near, near_variance = np.nan, 0.0
         for reach in _REACH:
@@ -226,6 +228,10 @@ def _excess(inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int,
                 shared = 2.0 * 1.8 * 0.8 * near_variance / 6.0
                 of_both = 1.8**2 * near_variance + 0.8**2 * variance - shared
                 least = min(least, straight**2 - of_both - own)
+        if side < 0:
+            before, before_variance = near, near_variance
+        elif (near - before) ** 2 <= _NEAR**2 * (near_variance + before_variance) + bend**2:
+            return 0.0
     return max(least, 0.0) if least < np.inf else 0.0
 
 
@@ -244,7 +250,7 @@ def _excess_rows(
                 at[2] = 0.25 * bend * bend
                 for axis, (down, right) in enumerate(_AXES):
                     if stepped[column] >> axis & 1:
-                        found = _excess(inverse, sigma, (row, column), down, right, at)
+                        found = _excess(inverse, sigma, (row, column), down, right, bend, at)
                         variance[row, column] = max(variance[row, column], found)
 
 

@@ -80,10 +80,10 @@ def test_a_bar_has_its_length_before_an_exact_rig(bars: Shelf) -> None:
     form = np.array([name == "probing-form" for name in found.quantities])
     assert (found.error[form] > 0.02).all()
     assert (found.error[form] < 0.3).all()
-    # The blur of the camera pulls the phase on a sphere, so that it looks smaller: an error of the system.
-    size = found.error[[name == "probing-size" for name in found.quantities]]
-    assert (size < 0.0).all()
-    assert (np.abs(size) < 0.3).all()
+    # The mean over a bent pixel would make a sphere smaller by 0.16 mm. That is corrected, but for the limb,
+    # whose deviation it dominates; forty recordings scatter by 0.006 mm.
+    size = np.array([name == "probing-size" for name in found.quantities])
+    assert (np.abs(found.error[size]) < 0.025).all()
     assert (found.points > 800).all()
 
 
