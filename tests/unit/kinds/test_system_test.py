@@ -81,9 +81,9 @@ def test_a_bar_has_its_length_before_an_exact_rig(bars: Shelf) -> None:
     assert (found.error[form] > 0.02).all()
     assert (found.error[form] < 0.3).all()
     # The mean over a bent pixel would make a sphere smaller by 0.16 mm. That is corrected, but for the limb,
-    # whose deviation it dominates; forty recordings scatter by 0.006 mm.
+    # whose deviation it dominates; forty recordings scatter by 0.0125 mm: three of that.
     size = np.array([name == "probing-size" for name in found.quantities])
-    assert (np.abs(found.error[size]) < 0.025).all()
+    assert (np.abs(found.error[size]) < 0.0375).all()
     assert (found.points > 800).all()
 
 

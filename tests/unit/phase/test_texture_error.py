@@ -172,9 +172,8 @@ def test_points_and_their_means_are_as_good_as_stated(rng: np.random.Generator, 
     score, valid = scores(seen, {})
     assert valid > 0.98
     # The thousandfold points tell their rms to 1 %; the roughness knows an edge's place to within the pixel,
-    # and errors of edges are no normal deviates: a tenth, and tails of up to 8. What blobs hide is stated for
-    # the worst of them: of four patterns the rms is 0.87 to 0.97.
-    assert 0.85 < np.sqrt(np.mean(np.square(score))) < 1.12
+    # and errors of edges are no normal deviates: a tenth, and tails of up to 8.
+    assert np.sqrt(np.mean(np.square(score))) == pytest.approx(1.0, abs=0.12)
     assert score.max() < 10.0
     records = {"measurement": seen.measurement, "calibration": seen.calibration}
     output = run_kind(KIND, Subject("plate", "S00", "C1P1"), records, 1, ReconstructParameters())
