@@ -15,7 +15,10 @@ from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 
 _REACH = 2  # px to the outermost pixel of a parabola, and to the outermost line
-_LIMIT = 10.0  # deviations that a pixel may lie off the parabola: what is farther is no bend but a step
+_LIMIT = 20.0  # deviations that the five may lie off their parabola: what is farther is no bend but a step
+_GROWTH = (
+    2.0  # how many times a limb may bend a pixel outwards; up to 1.6 and 2.7 on a ball of 16 px, to 68 deg
+)
 _OFF = 2.0 / 7.0 / sqrt(1.0 / 10.0 + 1.0 / 70.0)
 """By how much a step of 1 bends the parabola, for each unit that it is off it: the most of any place."""
 
@@ -42,30 +45,51 @@ def _bends(
             here = omega[row, column]
             third = last - first - 2.0 * (after - before)
             fourth = last + first - 4.0 * (after + before) + 6.0 * here
-            square, noise = third * third / 10.0 + fourth * fourth / 70.0, sigma[row, column] ** 2
-            if square <= _LIMIT * _LIMIT * noise:
+            square = third * third / 10.0 + fourth * fourth / 70.0
+            v0, v1 = sigma[row - r, column - c] ** 2, sigma[row - down, column - right] ** 2
+            v3, v4 = sigma[row + down, column + right] ** 2, sigma[row + r, column + c] ** 2
+            noise = (8.0 * (v0 + v4) + 44.0 * (v1 + v3) + 36.0 * sigma[row, column] ** 2) / 70.0
+            if square <= 0.5 * _LIMIT * _LIMIT * noise:
                 bent[row, column] = (2.0 * (last + first - here) - before - after) / 7.0
-                off[row, column] = max(square - 2.0 * noise, 0.0)
+                off[row, column] = max(square - noise, 0.0)
+
+
+@kernel
+def _nearest(bent: Floats, usable: Mask, row: int, column: int, down: int) -> tuple[int, int]:
+    """Return the nearest pixel along an axis that has a bend, over usable ones; (-1, -1) if there is none."""
+    if not usable[row, column]:
+        return -1, -1
+    for step in range(_REACH + 1):
+        for sign in (-1, 1):
+            i, j = row + sign * step * down, column + sign * step * (1 - down)
+            between = row + sign * down, column + sign * (1 - down)
+            if not (0 <= i < bent.shape[0] and 0 <= j < bent.shape[1]) or np.isnan(bent[i, j]):
+                continue
+            if step < _REACH or usable[between]:
+                return i, j
+    return -1, -1
 
 
 @kernel
 def _add_means(
-    bent: Floats, off: Floats, down: int, start: int, stop: int, half: Floats, unsure: Singles
+    usable: Mask, bent: Floats, off: Floats, down: int, start: int, stop: int, half: Floats, unsure: Singles
 ) -> None:
-    """Add the half of the mean over the lines beside each other, and its variance."""
+    """Add the half of the mean over the lines beside each other to `half`, and its variance to `unsure`."""
     rows, columns = bent.shape
     for row in range(start, stop):
         for column in range(columns):
-            if np.isnan(bent[row, column]):
+            r, c = _nearest(bent, usable, row, column, down)
+            if r < 0:
                 continue
             total, count = 0.0, 0
             for k in range(-_REACH, _REACH + 1):
-                i, j = row + k * (1 - down), column + k * down
+                i, j = r + k * (1 - down), c + k * down
                 if 0 <= i < rows and 0 <= j < columns and not np.isnan(bent[i, j]):
                     total += bent[i, j]
                     count += 1
             half[row, column] += 0.5 * total / count
-            unsure[row, column] += 0.25 * _OFF * _OFF * off[row, column]
+            growth = _GROWTH ** (abs(r - row) + abs(c - column)) - 1.0
+            unsure[row, column] += 0.25 * (_OFF * _OFF * off[r, c] + (growth * total / count) ** 2)
 
 
 def half_laplacian(omega: Floats, sigma: Singles, usable: Mask, threads: int = 1) -> tuple[Floats, Singles]:
@@ -83,7 +107,9 @@ def half_laplacian(omega: Floats, sigma: Singles, usable: Mask, threads: int = 1
     Returns
     -------
     (orientations, rows, columns), in rad/px^2: the half of the Laplacian; and how uncertain it is, as a
-    standard deviation. An axis along which the five pixels are not all usable or lie on no parabola counts 0.
+    standard deviation. A pixel whose five are not all usable, or lie on no parabola, has the bend of the
+    nearest within two pixels, uncertain by twice or eight times that: limbs bend ever more. Else the axis
+    counts 0.
 
     Notes
     -----
@@ -102,7 +128,7 @@ def half_laplacian(omega: Floats, sigma: Singles, usable: Mask, threads: int = 1
                 _bends(known[k], sigma[k], down, start, stop, bent, off)
 
             def means(start: int, stop: int, k: int = k, down: int = down) -> None:
-                _add_means(bent, off, down, start, stop, half[k], variance[k])
+                _add_means(usable, bent, off, down, start, stop, half[k], variance[k])
 
             in_row_blocks(bends, len(usable), threads)
             in_row_blocks(means, len(usable), threads)

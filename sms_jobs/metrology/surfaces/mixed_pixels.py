@@ -28,6 +28,7 @@ _ROUGH = 3.0  # chi-square over its degrees of freedom, 6: seldom more of a plan
 _LEAST = 6  # of the nine pixels that tell a plane
 _LEAST_SURE = 6.0  # deviations of the pixel that is judged: what is worse known would hold anything
 _CURVES = (1.0, 0.0, 0.0)  # of what two planes differ by: what they may miss a point by, in each round
+_CURVED = 0.1  # of what a side's planes differ by: what a limb is off their parabola, by trial on 14 balls
 _AXES = ((0, 1), (1, 0), (1, 1), (1, -1))  # (down, right)
 _REACH = (2, 3)  # px to the middle of a plane: planes of 3 x 3 px that leave the pixel itself out
 _SPAN = 4  # px from which planes are told
@@ -41,11 +42,14 @@ of the other miss it from the same side or are not there; it lies between those 
 
 
 @kernel
-def _plane(inverse: Floats, sigma: Floats, row: int, column: int, down: int, right: int, at: Floats) -> bool:
+def _plane(
+    inverse: Floats, sigma: Floats, row: int, column: int, down: int, right: int, rough: float, at: Floats
+) -> bool:
     """Fit a plane to the 3 x 3 px about (row + down, column + right), and follow it to (row, column).
 
     Its value there and the variance of that are written to `at`; `at[2]` is what a bend may add to the
-    variance. False where there is no plane: too few pixels, or an edge.
+    variance. `at[3]` is written: how many times the squared distances are as large as the variances say.
+    False where there is no plane: too few pixels, or squares more than `rough` times as large, as of an edge.
     """
     top, left = row + down - 1, column + right - 1
     if top < 0 or left < 0 or top + 3 > inverse.shape[0] or left + 3 > inverse.shape[1]:
@@ -84,7 +88,8 @@ def _plane(inverse: Floats, sigma: Floats, row: int, column: int, down: int, rig
     x, y = -right - sx / n, -down - sy / n
     at[0] = here + sv / n + p * x + q * y
     at[1] = variance * (1.0 / n + (x * x * syy - 2.0 * x * y * sxy + y * y * sxx) / area)
-    return bool(left_over <= _ROUGH * variance + at[2])
+    at[3] = max(left_over / variance, 1.0)
+    return bool(left_over <= rough * variance + at[2])
 
 
 @kernel
@@ -129,7 +134,7 @@ def _missed(
     here, own = inverse[row, column], sigma[row, column]
     count, first, first_limit, off = 0, 0.0, 0.0, 0.0
     for reach in _REACH:
-        if not _plane(inverse, sigma, row, column, reach * down, reach * right, at):
+        if not _plane(inverse, sigma, row, column, reach * down, reach * right, _ROUGH, at):
             continue
         off, limit = here - at[0], sqrt(_NEAR * _NEAR * (at[1] + own * own) + bend * bend)
         part = curve * abs(off - first) if count else 0.0
@@ -137,6 +142,14 @@ def _missed(
             return _HOLDS
         count, first, first_limit = count + 1, off, limit
     return count if off > 0.0 else -count
+
+
+@kernel
+def _within(inverse: Floats, pixel: Pixel, down: int, right: int) -> bool:
+    """Return whether the image goes on along an axis as far as planes may reach."""
+    row, column = pixel
+    r, c = _SPAN * down, _SPAN * abs(right)
+    return r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c
 
 
 @kernel
@@ -150,10 +163,11 @@ def _along(
         return _HELD
     if before * after < 0:
         return _BETWEEN
-    row, column = pixel
-    r, c = _SPAN * down, _SPAN * abs(right)
-    within = r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c
-    return _ALONE if within and max(abs(before), abs(after)) == len(_REACH) else _NOTHING
+    return (
+        _ALONE
+        if _within(inverse, pixel, down, right) and max(abs(before), abs(after)) == len(_REACH)
+        else _NOTHING
+    )
 
 
 @kernel
@@ -187,7 +201,7 @@ def _mixed_rows(
     stop: int,
     mixed: Mask,
 ) -> None:
-    at, stepped = np.empty(3), np.empty(inverse.shape[1], np.uint8)
+    at, stepped = np.empty(4), np.empty(inverse.shape[1], np.uint8)
     for row in range(start, stop):
         if not asked[row].any():
             continue
@@ -208,38 +222,40 @@ def _excess(
 
     The planes of either side say it, and the two of one side together: a bend makes the farther one miss by
     9/4 of what the nearer one does, light of another surface by the same, so that 9/5 of the one less 4/5 of
-    the other is what is no bend. They share six pixels and thereby 1/6 of the nearer one's variance. What
-    explains most counts. Sides that agree with each other are of one surface, and nothing is added.
+    the other is what is no bend, but for a tenth of their difference at a limb. They share six pixels and
+    thereby 1/6 of the nearer one's variance. What explains most counts. A side without a farther plane tells
+    nothing. Sides that agree are of one surface, and past the image nothing is known: there it is 0.
     """
+    if not _within(inverse, pixel, down, right):
+        return 0.0
     row, column = pixel
     here, own = inverse[row, column], sigma[row, column] ** 2
     least, before, before_variance = np.inf, np.nan, 0.0
+    closer, farther = _REACH
     for side in (-1, 1):
-        near, near_variance = np.nan, 0.0
-        for reach in _REACH:
-            if not _plane(inverse, sigma, row, column, side * reach * down, side * reach * right, at):
-                continue
-            off, variance = here - at[0], at[1]
-            least = min(least, off * off - variance - own)
-            if np.isnan(near):
-                near, near_variance = off, variance
-            else:
-                straight = 1.8 * near - 0.8 * off
-                shared = 2.0 * 1.8 * 0.8 * near_variance / 6.0
-                of_both = 1.8**2 * near_variance + 0.8**2 * variance - shared
-                least = min(least, straight**2 - of_both - own)
-        if side < 0:
-            before, before_variance = near, near_variance
-        elif (near - before) ** 2 <= _NEAR**2 * (near_variance + before_variance) + bend**2:
+        i, j = side * down, side * right
+        if not _plane(inverse, sigma, row, column, closer * i, closer * j, np.inf, at):
+            continue
+        near, near_variance = here - at[0], at[1] * at[3]
+        if (near - before) ** 2 <= _NEAR**2 * (near_variance + before_variance) + bend**2:
             return 0.0
-    return max(least, 0.0) if least < np.inf else 0.0
+        before, before_variance = near, near_variance
+        if not _plane(inverse, sigma, row, column, farther * i, farther * j, np.inf, at):
+            continue
+        far, far_variance = here - at[0], at[1] * at[3]
+        shared = near_variance / 6.0
+        bent = sqrt(max((far - near) ** 2 - near_variance - far_variance + 2.0 * shared, 0.0))
+        straight = max(abs(1.8 * near - 0.8 * far) - _CURVED * bent, 0.0)
+        of_both = 1.8**2 * near_variance + 0.8**2 * far_variance - 2.0 * 1.8 * 0.8 * shared
+        least = min(least, near**2 - near_variance, far**2 - far_variance, straight**2 - of_both)
+    return max(least - own, 0.0) if least < np.inf else 0.0
 
 
 @kernel
 def _excess_rows(
     inverse: Floats, sigma: Floats, asked: Mask, footprint: float, start: int, stop: int, variance: Floats
 ) -> None:
-    at, stepped = np.empty(3), np.empty(inverse.shape[1], np.uint8)
+    at, stepped = np.empty(4), np.empty(inverse.shape[1], np.uint8)
     for row in range(start, stop):
         if not asked[row].any():
             continue
