@@ -149,7 +149,7 @@ def _within(inverse: Floats, pixel: Pixel, down: int, right: int) -> bool:
     """Return whether the image goes on along an axis as far as planes may reach."""
     row, column = pixel
     r, c = _SPAN * down, _SPAN * abs(right)
-    return r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c
+    return bool(r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c)
 
 
 @kernel
