@@ -121,7 +121,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     )
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma, part=corrected.part)
-    mark_points(points, geometry, parameters, reason, corrected.beside, corrected.doubtful)
+    mark_points(points, geometry, parameters, reason, corrected)
     surface = as_surface(str(inputs.view), points, reason)
     statistics = _statistics(points, phase, reason, corrected.blur)
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
@@ -196,7 +196,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=22,
+    version=23,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

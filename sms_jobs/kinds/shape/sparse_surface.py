@@ -76,16 +76,13 @@ def sparse_surface(
     )
     chosen = slice(first_px(step), None, step)
     thinned = replace(geometry, pair=sensor_pair(thinned_sensor(camera, step), projector, sequence, threads))
-    reason = np.ascontiguousarray(reason[chosen, chosen])
+    reason, corrected = np.ascontiguousarray(reason[chosen, chosen]), corrected.thinned(chosen)
     points = thinned.pair.meet(
         np.ascontiguousarray(phase.omega[:, chosen, chosen]),
         np.ascontiguousarray(phase.omega_sigma[:, chosen, chosen]),
-        part=np.ascontiguousarray(corrected.part[:, chosen, chosen]),
+        part=corrected.part,
     )
-    beside, doubtful = (
-        np.ascontiguousarray(mask[chosen, chosen]) for mask in (corrected.beside, corrected.doubtful)
-    )
-    mark_points(points, thinned, _PARAMETERS, reason, beside, doubtful)
+    mark_points(points, thinned, _PARAMETERS, reason, corrected)
     return as_surface(str(inputs.view), points, reason)
 
 

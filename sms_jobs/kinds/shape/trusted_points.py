@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
-from sms_jobs.metrology.arrays import Floats, Mask, Reasons
+from sms_jobs.metrology.arrays import Mask, Reasons
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
@@ -16,7 +18,14 @@ from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge, large_ray_gap, outside_box
 from sms_jobs.metrology.images.segmentation import find_discontinuities, pixel_footprint
-from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces
+from sms_jobs.metrology.phase.texture_error import Blur, Corrected
+from sms_jobs.metrology.surfaces.bend_error import half_laplacian
+from sms_jobs.metrology.surfaces.mixed_pixels import (
+    InverseDepths,
+    between_surfaces,
+    beyond_noise,
+    inverse_depths,
+)
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
@@ -73,16 +82,15 @@ def mark_points(
     geometry: Geometry,
     parameters: PhaseParameters,
     reason: Reasons,
-    beside: Mask,
-    doubtful: Mask,
+    corrected: Corrected,
 ) -> None:
-    """Mark the pixels whose point cannot be trusted, and add to the covariance of others what they are off.
+    """Mark the pixels whose point cannot be trusted, and say of others what they are off.
 
     One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume. One
-    whose light comes from `beside` it sees past an edge, or is the rim of a dark speckle: that is no edge.
-    One of which that is `doubtful` counts where the surface goes on.
+    whose light comes from beside it sees past an edge, or is the rim of a dark speckle: that is no edge. One
+    of which that is doubtful counts where the surface goes on.
     """
-    mark(reason, beside, Reason.OUTSIDE_REGION)
+    mark(reason, corrected.beside, Reason.OUTSIDE_REGION)
     pair, volume = geometry.pair, geometry.volume
     outside = outside_box(points.xyz, volume.low, volume.high)
     nowhere = ~np.isfinite(points.covariance).all(axis=0) & (reason & Reason.SATURATED == 0)
@@ -94,28 +102,38 @@ def mark_points(
         parameters.maximum_ray_gap_to_noise,
     )
     mark(reason, apart, Reason.LARGE_RAY_GAP)
-    within = _on_one_surface(points, pair, reason == Reason.VALID, beside | doubtful)
-    mark(reason, doubtful & ~within, Reason.OUTSIDE_REGION)
+    within = _on_one_surface(points, pair, reason == Reason.VALID, corrected.beside | corrected.doubtful)
+    mark(reason, corrected.doubtful & ~within, Reason.OUTSIDE_REGION)
     known = reason == Reason.VALID
     mark(reason, at_edge(known, _SMALLEST_GAP, within), Reason.OUTSIDE_REGION)
-    asked = reason == Reason.VALID
-    mixed, off = between_surfaces(
-        points.xyz, points.covariance, known, asked, pair.intrinsics, pair.pose, pair.threads
-    )
+    seen = inverse_depths(points.xyz, points.covariance, known, pair.intrinsics, pair.pose)
+    mixed = between_surfaces(seen, reason == Reason.VALID, pair.threads)
     mark(reason, mixed, Reason.BETWEEN_SURFACES)
-    _add_along_rays(points, pair, off)
+    _straighten(points, pair, seen.without(mixed), reason == Reason.VALID, corrected.blur)
 
 
-def _add_along_rays(points: Triangulation, pair: SensorPair, off: Floats) -> None:
-    """Add to the covariance what points may be off along the camera's rays, a depth (rows, columns) in mm."""
-    chosen = off > 0.0
-    ray = points.xyz[:, chosen] - pair.pose.centre()[:, None]
-    ray *= off[chosen] / (pair.pose.matrix()[2] @ ray)
-    before = points.covariance[[0, 3, 5]][:, chosen].sum(axis=0)
+def _straighten(
+    points: Triangulation, pair: SensorPair, seen: InverseDepths, asked: Mask, blur: Blur
+) -> None:
+    """Take the bend of the surface within a pixel out of points, and add to the covariance what they are off.
+
+    Along the camera's rays: light of a pixel changes its phase, not its ray.
+    """
+    bend, unsure = half_laplacian(seen.inverse, seen.sigma, pair.threads)
+    straight = seen.inverse - blur.variance * bend
+    left = np.hypot(blur.variance * unsure, blur.variance_sigma * bend)
+    sigma = np.hypot(seen.sigma, left)
+    left = np.hypot(left, beyond_noise(replace(seen, inverse=straight, sigma=sigma), asked, pair.threads))
+    centre = pair.pose.centre()[:, None]
+    ray = points.xyz[:, asked] - centre
+    ray *= seen.inverse[asked] / straight[asked]
+    points.xyz[:, asked] = centre + ray
+    ray *= left[asked] / straight[asked]
+    before = points.covariance[[0, 3, 5]][:, asked].sum(axis=0)
     for index, (one, other) in enumerate(PACKED):
-        points.covariance[index, chosen] += (ray[one] * ray[other]).astype(np.float32)
+        points.covariance[index, asked] += (ray[one] * ray[other]).astype(np.float32)
     # What cancels between neighbours stays what it is.
-    points.part[chosen] *= before / points.covariance[[0, 3, 5]][:, chosen].sum(axis=0)
+    points.part[asked] *= before / points.covariance[[0, 3, 5]][:, asked].sum(axis=0)
 
 
 def _on_one_surface(points: Triangulation, pair: SensorPair, known: Mask, beside: Mask) -> Mask:

@@ -25,7 +25,6 @@ from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge
-from sms_jobs.metrology.phase.bend_error import half_laplacian
 
 Floating = NDArray[np.floating]
 
@@ -321,6 +320,16 @@ class Corrected:
     doubtful: Mask
     part: Singles
 
+    def thinned(self, chosen: slice) -> Corrected:
+        """Return it for some rows and columns, the blur in pixels that are as large as their distance."""
+        step, blur = chosen.step, self.blur
+        return Corrected(
+            Blur(blur.variance / step**2, blur.variance_sigma / step**2, blur.rough_px / step),
+            np.ascontiguousarray(self.beside[chosen, chosen]),
+            np.ascontiguousarray(self.doubtful[chosen, chosen]),
+            np.ascontiguousarray(self.part[:, chosen, chosen]),
+        )
+
 
 def correct_texture(
     omega: Floats,
@@ -334,7 +343,7 @@ def correct_texture(
     maximum_shift_px: float = np.inf,
     threads: int = 1,
 ) -> Corrected:
-    """Take the errors of texture and bend out of omega, in place, and put what may be left into its sigma.
+    """Take the error of the texture out of omega, in place, and put what may be left into its sigma.
 
     Parameters
     ----------
@@ -375,14 +384,11 @@ def correct_texture(
     )
     left = np.hypot((blur.variance_sigma * shift).astype(np.float32), np.float32(blur.rough_px) * spread)
     np.hypot(omega_sigma, left, out=omega_sigma)
-    bend, unsure = half_laplacian(corrected, omega_sigma, usable, threads)
-    np.hypot(omega_sigma, (blur.variance * unsure).astype(np.float32), out=omega_sigma)
-    np.hypot(omega_sigma, (blur.variance_sigma * bend).astype(np.float32), out=omega_sigma)
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.nan_to_num(np.square(left / omega_sigma), copy=False)
     # The other side of a blob at the border is not seen.
     part[:, [0, -1]] = part[:, :, [0, -1]] = 0.0
-    omega[...] = corrected - blur.variance * bend
+    omega[...] = corrected
     return Corrected(blur, beside, doubtful, part)
 
 

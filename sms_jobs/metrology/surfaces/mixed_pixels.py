@@ -8,6 +8,7 @@ is used throughout, which is linear over the image of a plane.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import TypeAlias
 
@@ -270,35 +271,63 @@ def _excess_rows(
                         variance[row, column] = max(variance[row, column], found)
 
 
-def between_surfaces(
-    xyz: Floats,
-    covariance: Singles,
-    known: Mask,
-    asked: Mask,
-    intrinsics: Intrinsics,
-    pose: Pose,
-    threads: int = 1,
-) -> tuple[Mask, Floats]:
-    """Find the pixels whose point lies between two surfaces, beside a jump, and on neither.
+@dataclass(frozen=True)
+class InverseDepths:
+    """Points as a camera sees them.
+
+    Attributes
+    ----------
+    inverse, sigma
+        (rows, columns) in 1/mm: inverse depths, NaN where nothing is known, and their standard deviations.
+    footprint
+        What a pixel sees of a surface at a depth of 1, across the ray.
+    """
+
+    inverse: Floats
+    sigma: Floats
+    footprint: float
+
+    def without(self, lost: Mask) -> InverseDepths:
+        """Return them with some pixels not known."""
+        return replace(self, inverse=np.where(lost, np.nan, self.inverse))
+
+
+def inverse_depths(
+    xyz: Floats, covariance: Singles, known: Mask, intrinsics: Intrinsics, pose: Pose
+) -> InverseDepths:
+    """Return the inverse depths of the known points.
 
     Parameters
     ----------
     xyz, covariance
         (3, rows, columns) in mm and (6, rows, columns) in mm^2, of the points, in the world.
     known
-        (rows, columns): whose points tell where the surfaces are.
-    asked
-        (rows, columns), a part of them: which are to be judged.
+        (rows, columns).
     intrinsics, pose
         Of the camera.
+    """
+    depth = np.tensordot(pose.matrix()[2], xyz, axes=1) + pose.translation[2]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        inverse = np.where(known, 1.0 / depth, np.nan)
+        sigma = np.sqrt(covariance[0] + covariance[3] + covariance[5]) * inverse**2
+    return InverseDepths(inverse, sigma, 1.0 / sqrt(intrinsics.fx * intrinsics.fy))
+
+
+def between_surfaces(seen: InverseDepths, asked: Mask, threads: int = 1) -> Mask:
+    """Find the pixels whose point lies between two surfaces, beside a jump, and on neither.
+
+    Parameters
+    ----------
+    seen
+        What tells where the surfaces are.
+    asked
+        (rows, columns): which are to be judged.
     threads
         Number of threads; the result does not depend on it.
 
     Returns
     -------
-    (rows, columns): these pixels; and the depth, in mm, by which others beside a jump are off the nearest
-    plane beyond what noise explains: light of the other surface that is too little to be told, or the bend
-    of a limb within a pixel.
+    (rows, columns): these pixels.
 
     Notes
     -----
@@ -317,26 +346,34 @@ def between_surfaces(
     """
     import cv2
 
-    depth = np.tensordot(pose.matrix()[2], xyz, axes=1) + pose.translation[2]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        inverse = np.where(known, 1.0 / depth, np.nan)
-        sigma = np.sqrt(covariance[0] + covariance[3] + covariance[5]) * inverse**2
-    mixed, left = np.zeros(asked.shape, np.bool_), asked
-    footprint = 1.0 / sqrt(intrinsics.fx * intrinsics.fy)
+    inverse, mixed, left = seen.inverse.copy(), np.zeros(asked.shape, np.bool_), asked
     for curve in _CURVES:
         found = np.zeros(asked.shape, np.bool_)
 
         def work(start: int, stop: int, curve: float = curve, left: Mask = left, found: Mask = found) -> None:
-            _mixed_rows(inverse, sigma, left, footprint, curve, start, stop, found)
+            _mixed_rows(inverse, seen.sigma, left, seen.footprint, curve, start, stop, found)
 
         in_row_blocks(work, len(asked), threads)
         mixed |= found
         inverse[found] = np.nan
         left = asked & ~mixed & (cv2.dilate(mixed.astype(np.uint8), _BESIDE) > 0)
-    variance, stays = np.zeros(asked.shape), asked & ~mixed
+    return mixed
+
+
+def beyond_noise(seen: InverseDepths, asked: Mask, threads: int = 1) -> Floats:
+    """Return by how much points beside a jump are off the nearest plane beyond what noise explains.
+
+    That is light of the other surface, too little to be told, or the bend of a limb within a pixel. The
+    arguments are those of `between_surfaces`, without the pixels that it finds.
+
+    Returns
+    -------
+    (rows, columns) in 1/mm; 0 elsewhere.
+    """
+    variance = np.zeros(asked.shape)
 
     def measure(start: int, stop: int) -> None:
-        _excess_rows(inverse, sigma, stays, footprint, start, stop, variance)
+        _excess_rows(seen.inverse, seen.sigma, asked, seen.footprint, start, stop, variance)
 
     in_row_blocks(measure, len(asked), threads)
-    return mixed, np.sqrt(variance) * np.nan_to_num(depth) ** 2
+    return np.sqrt(variance)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
-from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces
+from sms_jobs.metrology.surfaces.mixed_pixels import between_surfaces, beyond_noise, inverse_depths
 
 ROWS, COLUMNS = 80, 100
 LENS = Intrinsics(1000.0, 1000.0, 50.0, 40.0)
@@ -33,7 +33,10 @@ def found(
     xyz = np.stack([(X - LENS.cx) / LENS.fx * noisy, (Y - LENS.cy) / LENS.fy * noisy, noisy])
     covariance = np.zeros((6, ROWS, COLUMNS), np.float32)
     covariance[5] = sigma**2
-    return between_surfaces(xyz, covariance, known, known, LENS, POSE, threads)
+    seen = inverse_depths(xyz, covariance, known, LENS, POSE)
+    mixed = between_surfaces(seen, known, threads)
+    off = beyond_noise(seen.without(mixed), known & ~mixed, threads)
+    return mixed, off * noisy**2
 
 
 def step(angle: float) -> NDArray[np.float64]:

@@ -1,8 +1,9 @@
-"""The error that the bend of a surface within a pixel makes in the phase gradient.
+"""The error that the bend of a surface within a pixel makes in its depth.
 
 A pixel sees the mean over its spot. Of a surface that bends, this is not the value in the middle: a Gaussian
 spot of variance s^2 adds s^2 / 2 times the Laplacian, by which a ball looks smaller and its limb lies behind
-it. Second derivatives are told by parabolas through five pixels, as a mean over five lines beside each other.
+it. Inverse depth is used, which is linear over the image of a plane. Second derivatives are told by parabolas
+through five pixels, as a mean over five lines beside each other.
 """
 
 from __future__ import annotations
@@ -11,28 +12,27 @@ from math import sqrt
 
 import numpy as np
 
-from sms_jobs.metrology.arrays import Floats, Mask, Singles
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 
 _REACH = 2  # px to the outermost pixel of a parabola, and to the outermost line
 _LIMIT = 20.0  # deviations that the five may lie off their parabola: what is farther is no bend but a step
-_GROWTH = (
-    2.0  # how many times a limb may bend a pixel outwards; up to 1.6 and 2.7 on a ball of 16 px, to 68 deg
-)
+_GROWTH = 3.0
+"""How many times a limb may bend a pixel outwards: 1.6 and 2.7 on a ball of 16 px, up to 68 degrees."""
 _OFF = 2.0 / 7.0 / sqrt(1.0 / 10.0 + 1.0 / 70.0)
 """By how much a step of 1 bends the parabola, for each unit that it is off it: the most of any place."""
 
 
 @kernel
 def _bends(
-    omega: Floats, sigma: Singles, down: int, start: int, stop: int, bent: Floats, off: Floats
+    inverse: Floats, sigma: Floats, down: int, start: int, stop: int, bent: Floats, off: Floats
 ) -> None:
     """Write the second derivative along columns (down = 0) or rows, NaN where there is none.
 
     And the squared distance of the five pixels from their parabola, beyond that of noise, which has two
-    degrees of freedom. `omega` is NaN where it is not known.
+    degrees of freedom. `inverse` is NaN where it is not known.
     """
-    rows, columns = omega.shape
+    rows, columns = inverse.shape
     right = 1 - down
     r, c = _REACH * down, _REACH * right
     for row in range(start, stop):
@@ -40,9 +40,9 @@ def _bends(
         if row < r or row >= rows - r:
             continue
         for column in range(c, columns - c):
-            first, last = omega[row - r, column - c], omega[row + r, column + c]
-            before, after = omega[row - down, column - right], omega[row + down, column + right]
-            here = omega[row, column]
+            first, last = inverse[row - r, column - c], inverse[row + r, column + c]
+            before, after = inverse[row - down, column - right], inverse[row + down, column + right]
+            here = inverse[row, column]
             third = last - first - 2.0 * (after - before)
             fourth = last + first - 4.0 * (after + before) + 6.0 * here
             square = third * third / 10.0 + fourth * fourth / 70.0
@@ -72,7 +72,7 @@ def _nearest(bent: Floats, usable: Mask, row: int, column: int, down: int) -> tu
 
 @kernel
 def _add_means(
-    usable: Mask, bent: Floats, off: Floats, down: int, start: int, stop: int, half: Floats, unsure: Singles
+    usable: Mask, bent: Floats, off: Floats, down: int, start: int, stop: int, half: Floats, unsure: Floats
 ) -> None:
     """Add the half of the mean over the lines beside each other to `half`, and its variance to `unsure`."""
     rows, columns = bent.shape
@@ -92,44 +92,40 @@ def _add_means(
             unsure[row, column] += 0.25 * (_OFF * _OFF * off[r, c] + (growth * total / count) ** 2)
 
 
-def half_laplacian(omega: Floats, sigma: Singles, usable: Mask, threads: int = 1) -> tuple[Floats, Singles]:
-    """Return by how much the bend of a surface moves omega, for each unit of s^2.
+def half_laplacian(inverse: Floats, sigma: Floats, threads: int = 1) -> tuple[Floats, Floats]:
+    """Return by how much the bend of a surface moves its inverse depth, for each unit of s^2.
 
     Parameters
     ----------
-    omega, sigma
-        (orientations, rows, columns) in rad.
-    usable
-        (rows, columns): whose omega can be used.
+    inverse, sigma
+        (rows, columns) in 1/mm: inverse depths, NaN where nothing is known, and their standard deviations.
     threads
         Number of threads; the result does not depend on it.
 
     Returns
     -------
-    (orientations, rows, columns), in rad/px^2: the half of the Laplacian; and how uncertain it is, as a
-    standard deviation. A pixel whose five are not all usable, or lie on no parabola, has the bend of the
-    nearest within two pixels, uncertain by twice or eight times that: limbs bend ever more. Else the axis
-    counts 0.
+    (rows, columns), in 1/mm/px^2: the half of the Laplacian; and how uncertain it is, as a standard
+    deviation. A pixel whose five are not all known, or lie on no parabola, has the bend of the nearest within
+    two pixels, uncertain by twice or eight times that: limbs bend ever more. Else the axis counts 0.
 
     Notes
     -----
     Of noise alone the mean over five lines has 0.24 of its deviation as second derivative, and 0.36 of it is
-    said to be uncertain, of each axis. At s^2 = 1/3 the variance of omega grows by 4 %, since the parabola
-    contains the pixel itself, and 3 % are said. Near a step, or where a limb bends ever more, the five pixels
-    are off their parabola by more than what that makes wrong in it.
+    said to be uncertain, of each axis. At s^2 = 1/3 the variance grows by 4 %, since the parabola contains
+    the pixel itself, and 3 % are said. Near a step, or where a limb bends ever more, the five pixels are off
+    their parabola by more than what that makes wrong in it.
     """
-    known = np.where(usable, omega, np.nan)
-    half, variance = np.zeros_like(omega), np.zeros(omega.shape, np.float32)
-    bent, off = np.empty(usable.shape), np.empty(usable.shape)
-    for k in range(len(omega)):
-        for down in (0, 1):
+    usable = np.isfinite(inverse)
+    half, variance = np.zeros_like(inverse), np.zeros_like(inverse)
+    bent, off = np.empty_like(inverse), np.empty_like(inverse)
+    for down in (0, 1):
 
-            def bends(start: int, stop: int, k: int = k, down: int = down) -> None:
-                _bends(known[k], sigma[k], down, start, stop, bent, off)
+        def bends(start: int, stop: int, down: int = down) -> None:
+            _bends(inverse, sigma, down, start, stop, bent, off)
 
-            def means(start: int, stop: int, k: int = k, down: int = down) -> None:
-                _add_means(usable, bent, off, down, start, stop, half[k], variance[k])
+        def means(start: int, stop: int, down: int = down) -> None:
+            _add_means(usable, bent, off, down, start, stop, half, variance)
 
-            in_row_blocks(bends, len(usable), threads)
-            in_row_blocks(means, len(usable), threads)
+        in_row_blocks(bends, len(usable), threads)
+        in_row_blocks(means, len(usable), threads)
     return half, np.sqrt(variance)
