@@ -50,6 +50,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
         campaign = replace(campaign, rig="pair", states=(replace(campaign.states[0], label="t0001"),))
         calibration = replace(calibration, rig=replace(calibration.rig, name="pair"))
         register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
+        alone = replace(campaign, name="alone", views=("C1",))
+        register_campaign(services.catalogue, services.archive, alone, None, datetime.now(UTC))
         file = home / "pair.toml"
         file.write_text(PAIR)
         services.stations.add(file, replace=False)
@@ -149,7 +151,7 @@ def test_a_plan_asks_for_looks_and_limits(web: httpx2.Client) -> None:
         ({"campaign": "gauged", "stop_if": ["g1.extension_mm > 5"]}, 422, "has no unit"),
         ({"campaign": "gauged", "stop_if": ["g1 > 5mm"]}, 422, "stop_if is 'g1 > 5mm', which is no limit"),
         ({"campaign": "gauged", "stop_if": ["g2.x_mm < 0mm"]}, 404, "gauged has no gauge 'g2'"),
-        ({"campaign": "seen", "look": True}, 422, "no view of a camera and a projector"),
+        ({"campaign": "alone", "look": True}, 422, "a camera alone has no quick look"),
     ],
 )
 def test_a_look_that_cannot_be_is_refused(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.command import answer, inside, service
+from support.command import answer, inside, service, wait_until
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, FolderStore
@@ -32,6 +32,7 @@ UNPLUGGED = RIG.replace("faults = []", 'faults = [{ fault = "unplugged", state =
 FLASH = RIG.replace("faults = []", 'faults = [{ fault = "flash", state = "S02", frame = 1 }]')
 CALIBRATION, CAMPAIGN = stereo_campaign("pair", rig=stereo_rig(COLUMNS, ROWS))
 BOTH = ("C1", "C2")
+GAUGES = {"gauges": {"gauge": "g1 x=0 y=0 length=10"}}
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def home(tmp_path: Path) -> Path:
     home = tmp_path / "home"
     bootstrap.initialise(home)
     with bootstrap.services(home) as services:
-        campaign = replace(CAMPAIGN, rig="pair", states=CAMPAIGN.states[:3])
+        campaign = replace(CAMPAIGN, rig="pair", states=CAMPAIGN.states[:3], processing=GAUGES)
         calibration = replace(CALIBRATION, rig=replace(CALIBRATION.rig, name="pair"))
         register_campaign(services.catalogue, services.archive, campaign, calibration, datetime.now(UTC))
     connect(home, RIG)
@@ -84,8 +85,24 @@ def test_a_campaign_of_two_cameras_is_recorded_and_its_shape_computed(home: Path
         assert 0.2 < again["packed"] < 2.0
         assert again["archived_bytes"] == round(2 * raw * again["packed"])
         run(home, "job", "wait", "-c", "pair")
+        # Held after S01, whose gauge has moved, and before S02.
+        run(home, "acquire", "plan", "pair", "--next", "--stop-if", "g1.z_mm < 100mm")
+        wait_until(
+            lambda: any(one["stopped_by"] for one in run(home, "acquire", "plan", "show", "pair")), 60.0
+        )
+        looks = run(home, "acquire", "plan", "looks", "pair")
     files = found(home)
-    assert set(files) == {"pair/S00/C1", "pair/S00/C2"}
+    assert set(files) == {f"pair/{state}/{camera}" for state in ("S00", "S01") for camera in BOTH}
+    at_rest, look = looks
+    assert [(one["state"], one["view"], one["doubts"]) for one in looks] == [
+        (s, "C1C2", "") for s in ("S00", "S01")
+    ]
+    assert (at_rest["gauges"], look["gauges_lost"]) == ([], 0)
+    (gauge,) = look["gauges"]
+    assert gauge["name"] == "g1"
+    # It moves as a body, so that no gauge grows; 0.003 mm are 0.02 px of the image at both ends.
+    assert 0.0 < gauge["extension_sigma_mm"] < 0.005
+    assert abs(gauge["extension_mm"]) < 4.5 * gauge["extension_sigma_mm"]
     assert {one["subject"] for one in run(home, "data", "find", "--kind", "stereo")} == {"pair/S00/C1C2"}
     assert CAMPAIGN.scene is not None
     scene = replace(CAMPAIGN.scene, rig=replace(CAMPAIGN.scene.rig, name="virtual-stereo-rig"))

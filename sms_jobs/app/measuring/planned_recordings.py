@@ -129,7 +129,7 @@ def plan(
     InvalidInput
         The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
         not say what the channel reads at a state; what is waited for does not fit channel or states; or there
-        is no view of a camera and a projector to look at.
+        is no view that measures shape to look at.
     """
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs.recording import due_recordings
@@ -160,10 +160,10 @@ def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> Non
     from sms_jobs.formats.gauge_descriptions import described_gauge
     from sms_jobs.kinds.deformation.quick_look import declared_gauges
 
-    if not campaign.fringe_views:
+    if not campaign.shape_views:
         raise InvalidInput(
-            f"{campaign.name} has no view of a camera and a projector, and others have no quick look; leave "
-            "out `look` and `stop_if`"
+            f"{campaign.name} has no view of a camera and a projector or of several cameras, and a camera "
+            "alone has no quick look; leave out `look` and `stop_if`"
         )
     known = [described_gauge(text).name for text in declared_gauges(campaign)]
     for limit in stop_if:

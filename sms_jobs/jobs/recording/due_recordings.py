@@ -342,9 +342,10 @@ def _look(session: Session, one: Asked) -> Request:
     campaign = definition(campaign_row(session, one.campaign))
     rest = campaign.reference.label
     there = (
-        newest_file(session, MEASUREMENT, Subject(one.campaign, rest, view), DATASET_MEDIA_TYPE)
-        for view in campaign.fringe_views
+        newest_file(session, MEASUREMENT, recorded, DATASET_MEDIA_TYPE)
+        for view in campaign.shape_views
         if view not in campaign.late_views
+        for recorded in Subject(one.campaign, rest, view).recordings
     )
     alone = one.label != rest and None in there
     return Request(LOOK.name, {"alone": alone}, (one.label,), priority=_FIRST)

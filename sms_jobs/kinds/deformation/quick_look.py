@@ -1,7 +1,7 @@
 """Quick look: what can be told of a state seconds after it was recorded, before anybody computes results.
 
-Shape at some pixels only, displacement and extension at the gauges only, and what is wrong. It is for the
-person at the rig, who holds the load meanwhile; no result is made of it.
+Shape at some pixels only, displacement and extension at the gauges only, and what is wrong, by fringes or by
+several cameras. It is for the person at the rig, who holds the load meanwhile; no result is made of it.
 """
 
 from __future__ import annotations
@@ -29,14 +29,17 @@ from sms_jobs.kinds.kind import (
     Port,
     Progress,
     Scope,
-    fringe_tuples,
     is_deformed,
+    tuples,
 )
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, SURFACE, UNCERTAINTY, Product
-from sms_jobs.kinds.shape.sparse_surface import sparse_surface, with_regions
+from sms_jobs.kinds.shape.sparse_surface import sparse_stereo_surface, sparse_surface, with_regions
+from sms_jobs.kinds.shape.stereo import KIND as STEREO
+from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.textures import white_texture
+from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.deformation.matching.correlation import (
@@ -119,26 +122,29 @@ class Compared:
         As they are described.
     frame
         See `gauges.frame_of_gauges`.
+    stereo
+        How several cameras are matched.
     """
 
     reference: str
     gauges: tuple[str, ...]
     frame: Pose
+    stereo: StereoParameters
 
 
-_FRAMES = Port("measurement", MEASUREMENT, (MEASURED, RECORDED))
+_FRAMES = Port("measurement", MEASUREMENT, (MEASURED, RECORDED), several=True)
 _CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED, UNCERTAINTY))
 _REFERENCE = Port(AT_REST, "quick-look", (SURFACE,))
 _REFERENCE_FRAMES = Port(FRAMES_AT_REST, MEASUREMENT, (MEASURED,))
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: QuickLookParameters) -> Iterable[Need]:
-    yield _FRAMES.of(subject)
+    yield from map(_FRAMES.of, subject.recordings)
     yield _CALIBRATION.of(subject)
     at_rest = replace(subject, state=campaign.reference.label)
     if is_deformed(campaign, subject) and not parameters.alone:
         yield _REFERENCE.of(at_rest)
-        yield _REFERENCE_FRAMES.of(at_rest)
+        yield _REFERENCE_FRAMES.of(textured_by(at_rest))
 
 
 def declared_gauges(campaign: Campaign) -> tuple[str, ...]:
@@ -151,19 +157,21 @@ def declared_gauges(campaign: Campaign) -> tuple[str, ...]:
 
 
 def _context(campaign: Campaign, subject: Subject) -> Compared:
-    return Compared(campaign.reference.label, declared_gauges(campaign), frame_of_gauges(campaign, subject))
+    stereo = StereoParameters.model_validate(campaign.processing.get(STEREO.name, {}))
+    frame = frame_of_gauges(campaign, subject)
+    return Compared(campaign.reference.label, declared_gauges(campaign), frame, stereo)
 
 
 def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> Iterator[Output]:
     """Measure the shape at some pixels and match the texture at the gauges, and say what is doubted."""
-    measurement = inputs.read(_FRAMES, MEASURED)
+    measurement = inputs.read(_FRAMES, MEASURED, textured_by(inputs.subject))
     step = max(1, -(-max(measurement.frames.shape[1:]) // parameters.places))
     doubts = _doubts_of_recording(inputs)
     records: dict[Product[Any], object] = {}
     statistics: dict[str, float] = {}
     surface = None
     try:
-        surface = sparse_surface(inputs, _CALIBRATION, measurement, step, progress)
+        surface = _surface(inputs, measurement, step, progress)
     except MeasurementFailed as error:
         doubts.append(str(error))
     progress(0.6, "measured the shape")
@@ -171,7 +179,7 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
     if surface is not None:
         records[SURFACE] = surface
         statistics |= _of_shape(surface)
-        if not inputs.has(_FRAMES, RECORDED) and statistics[SATURATED_FRACTION] > _SATURATED:
+        if not _is_judged(inputs) and statistics[SATURATED_FRACTION] > _SATURATED:
             doubts.append(f"{statistics[SATURATED_FRACTION]:.0%} of the lit pixels are saturated")
         if inputs.has(_REFERENCE, SURFACE):
             look, blur = _compared(inputs, parameters, measurement, surface, step)
@@ -188,11 +196,26 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
     yield DatasetOutput(inputs.subject, {QUICK_LOOK: look, **records}, statistics)
 
 
+def _surface(inputs: Inputs, measurement: Measurement, step: int, progress: Progress) -> Surface:
+    """Return the shape at every `step`-th pixel."""
+    if inputs.view.projectors:
+        return sparse_surface(inputs, _CALIBRATION, measurement, step, progress)
+    return sparse_stereo_surface(inputs, inputs.context.stereo, step, progress)
+
+
+def _is_judged(inputs: Inputs) -> bool:
+    """Say whether everything was judged while it was recorded."""
+    return all(inputs.has(_FRAMES, RECORDED, own) for own in inputs.subject.recordings)
+
+
 def _doubts_of_recording(inputs: Inputs) -> list[str]:
     """Return what was doubted while it was recorded: saturation, light, and channels that went too far."""
-    if not inputs.has(_FRAMES, RECORDED):
-        return []
-    return list(inputs.read(_FRAMES, RECORDED).verdict.doubts)
+    return [
+        doubt if len(inputs.subject.recordings) == 1 else f"{own.view}: {doubt}"
+        for own in inputs.subject.recordings
+        if inputs.has(_FRAMES, RECORDED, own)
+        for doubt in inputs.read(_FRAMES, RECORDED, own).verdict.doubts
+    ]
 
 
 def _compared(
@@ -346,14 +369,14 @@ def _of_gauges(look: QuickLook) -> dict[str, float]:
 KIND = Kind(
     name="quick-look",
     summary="seconds after a recording: shape at some pixels, displacement at the gauges, what is wrong",
-    version=14,
+    version=15,
     scope=Scope.TUPLE,
     parameters=QuickLookParameters,
     inputs=(_FRAMES, _CALIBRATION, _REFERENCE, _REFERENCE_FRAMES),
     outputs=(QUICK_LOOK, SURFACE),
     needs=_needs,
     run=run,
-    subjects=fringe_tuples,
+    subjects=tuples,
     context=_context,
     in_pipeline=False,
 )

@@ -1,4 +1,4 @@
-"""The surface of a camera and a projector at some pixels of the image only, in a second."""
+"""The surface of a camera and a projector, or of several cameras, at some pixels of the image only."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sms_jobs.kinds.kind import Inputs, Port, Progress
-from sms_jobs.kinds.products import CALIBRATED
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Port, Progress
+from sms_jobs.kinds.products import CALIBRATED, SURFACE
+from sms_jobs.kinds.shape import stereo
 from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
+from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.trusted_points import (
     LARGEST_SHIFT_PX,
     as_surface,
@@ -18,6 +20,7 @@ from sms_jobs.kinds.shape.trusted_points import (
     mark_points,
     paired_sensors,
 )
+from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.deformation.strain.gauge_points import SparseSurface
 from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
 from sms_jobs.metrology.phase.texture_error import correct_texture
@@ -27,6 +30,7 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Sensor
 
 _PARAMETERS = PhaseParameters()
+_MATCHES_APART = 2
 _LEAST_AREA = 30
 """Places of a region: a gauge's end is fitted to as many."""
 
@@ -86,6 +90,34 @@ def sparse_surface(
     return as_surface(str(inputs.view), points, reason)
 
 
+def sparse_stereo_surface(
+    inputs: Inputs, parameters: StereoParameters, step: int, progress: Progress
+) -> Surface:
+    """Return the points of every `step`-th pixel of the reference camera, (3, rows, columns) of those alone.
+
+    As `stereo` measures them, from matches `_MATCHES_APART` times as far apart.
+
+    Raises
+    ------
+    InvalidInput, MeasurementFailed
+        As `stereo` does.
+    """
+    spacing = min(_MATCHES_APART * parameters.spacing_px, parameters.subset_radius_px)
+    coarser = parameters.model_copy(update={"spacing_px": max(spacing, parameters.spacing_px)})
+    (measured,) = stereo.run(inputs, coarser, progress)
+    assert isinstance(measured, DatasetOutput)
+    surface: Surface = measured.products[SURFACE]
+    chosen = slice(first_px(step), None, step)
+    return Surface(
+        surface.view,
+        surface.unit,
+        np.ascontiguousarray(surface.position[:, chosen, chosen]),
+        np.ascontiguousarray(surface.reason[chosen, chosen]),
+        np.ascontiguousarray(position_covariance(surface)[:, chosen, chosen], dtype=np.float32),
+        subset_radius_px=surface.subset_radius_px,
+    )
+
+
 def with_regions(inputs: Inputs, port: Port, surface: Surface, step: int) -> SparseSurface:
     """Return a sparse surface with its continuous regions; `port` is that of the calibration."""
     camera = thinned_sensor(inputs.read(port, CALIBRATED).rig.sensor(surface.camera), step)
@@ -98,7 +130,9 @@ def with_regions(inputs: Inputs, port: Port, surface: Surface, step: int) -> Spa
         minimum_area=_LEAST_AREA,
         threads=inputs.threads,
     )
-    return SparseSurface(surface.position, covariance, regions.labels, step, first_px(step))
+    return SparseSurface(
+        surface.position, covariance, regions.labels, step, first_px(step), surface.subset_radius_px
+    )
 
 
 def thinned_sensor(camera: Sensor, step: int) -> Sensor:

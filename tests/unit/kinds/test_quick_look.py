@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from sms_jobs.kinds.deformation.quick_look import KIND, Compared, QuickLookParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
@@ -53,7 +54,7 @@ class Test:
         subject = Subject("plate", "S01", "C1P1")
         own = {"measurement": after or self.after} | ({} if recording is None else {"recording": recording})
         datasets = {
-            "measurement": InMemory(subject, own),
+            f"measurement {subject}": InMemory(subject, own),
             "calibration": InMemory(subject, {"calibration": self.calibration}),
         }
         if not parameters.alone:
@@ -66,7 +67,7 @@ class Test:
     def at_rest(self, parameters: QuickLookParameters | None = None) -> DatasetOutput:
         subject = Subject("plate", "S00", "C1P1")
         datasets = {
-            "measurement": InMemory(subject, {"measurement": self.before}),
+            f"measurement {subject}": InMemory(subject, {"measurement": self.before}),
             "calibration": InMemory(subject, {"calibration": self.calibration}),
         }
         return ran(subject, self.placement, datasets, parameters or QuickLookParameters())
@@ -75,7 +76,7 @@ class Test:
 def ran(
     subject: Subject, placement: Pose, datasets: dict[str, InMemory], parameters: QuickLookParameters
 ) -> DatasetOutput:
-    inputs = Inputs(subject, Compared("S00", GAUGES, placement), datasets)
+    inputs = Inputs(subject, Compared("S00", GAUGES, placement, StereoParameters()), datasets)
     (output,) = KIND.run(inputs, parameters, unheard)
     assert isinstance(output, DatasetOutput)
     KIND.checked(output)

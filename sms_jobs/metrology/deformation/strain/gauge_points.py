@@ -32,6 +32,8 @@ class SparseSurface:
         (rows, columns), continuous regions, 0 for none.
     step, first
         In px of the image.
+    subset_radius_px
+        Distance over which errors of positions go together, 0 where each is of its own.
     """
 
     xyz: Floats
@@ -39,6 +41,7 @@ class SparseSurface:
     labels: NDArray[np.int32]
     step: int
     first: int
+    subset_radius_px: int = 0
 
     def spread(self, rows: int, columns: int) -> NDArray[np.int32]:
         """Return the labels of all pixels of the image (rows, columns): the nearest one's, without holes."""
@@ -84,7 +87,8 @@ def fitted_point(surface: SparseSurface, x: float, y: float, radius: float) -> F
     Notes
     -----
     A quadratic in x and y is fitted to the positions of the region of the nearest one. Its covariance is that
-    of the positions, or of what the fit leaves over where that is more.
+    of the positions, or of what the fit leaves over where that is more. Positions whose subsets overlap count
+    as one, so that a fit over less than a subset is as uncertain as one position.
     """
     column, row = (x - surface.first) / surface.step, (y - surface.first) / surface.step
     reach = max(radius / surface.step, 3.0)
@@ -114,7 +118,10 @@ def fitted_point(surface: SparseSurface, x: float, y: float, radius: float) -> F
     mean = surface.covariance[(slice(None), *window)][:, same][:, near].mean(axis=1, dtype=np.float64)
     noise: Floats = unpack(mean)
     own = scatter if np.trace(scatter) > np.trace(noise) else noise
-    return FittedPoint(found[0], inverse[0, 0] * own, found[1:3].T / (reach * surface.step))
+    together = max(1.0, ((2 * surface.subset_radius_px + 1) / surface.step) ** 2)
+    return FittedPoint(
+        found[0], min(inverse[0, 0] * together, 1.0) * own, found[1:3].T / (reach * surface.step)
+    )
 
 
 def place_of(surface: SparseSurface, x_mm: float, y_mm: float, radius: float) -> tuple[float, float] | None:
