@@ -248,9 +248,9 @@ def _followed(matches: ImageMatches, nodes: Nodes) -> Followed:
 
 def _regions_record(regions: ContinuousRegions, whole: ContinuousRegions) -> Regions:
     """Return regions, and which of them are pieces of one that was whole."""
-    labels, first = np.unique(regions.labels, return_index=True)
-    origin = dict(zip(labels.tolist(), whole.labels.ravel()[first].tolist(), strict=True))
     numbers = range(1, len(regions.areas) + 1)
+    origin = np.zeros(len(numbers) + 1, np.int32)
+    origin[regions.labels] = whole.labels
     pieces = {origin[n]: [k for k in numbers if origin[k] == origin[n]] for n in numbers}
     described = (
         Region(

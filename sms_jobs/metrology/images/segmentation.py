@@ -277,14 +277,16 @@ def label_regions(
 
 def in_order(labels: NDArray[np.int32]) -> ContinuousRegions:
     """Renumber regions by area, then centroid, so that they are found again in another state."""
-    found, index = np.unique(labels, return_inverse=True)
-    index = index.reshape(labels.shape)
-    areas = np.bincount(index.reshape(-1), minlength=found.size)
+    flat = labels.reshape(-1)
+    areas = np.bincount(flat)
     rows, columns = labels.shape
-    x = np.bincount(index.reshape(-1), np.tile(np.arange(columns), rows), found.size) / areas
-    y = np.bincount(index.reshape(-1), np.repeat(np.arange(rows), columns), found.size) / areas
-    kept = np.flatnonzero(found > 0)
-    order = kept[np.lexsort((y[kept], x[kept], -areas[kept]))]
-    number = np.zeros(found.size, np.int32)
-    number[order] = np.arange(1, order.size + 1)
-    return ContinuousRegions(number[index], areas[order], np.stack([x[order], y[order]], axis=-1))
+    sums = (
+        np.bincount(flat, np.tile(np.arange(columns), rows)),
+        np.bincount(flat, np.repeat(np.arange(rows), columns)),
+    )
+    kept = 1 + np.flatnonzero(areas[1:])
+    x, y = (one[kept] / areas[kept] for one in sums)
+    order = np.lexsort((y, x, -areas[kept]))
+    number = np.zeros(areas.size, np.int32)
+    number[kept[order]] = np.arange(1, order.size + 1)
+    return ContinuousRegions(number[labels], areas[kept[order]], np.stack([x[order], y[order]], axis=-1))
