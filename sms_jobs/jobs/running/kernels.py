@@ -142,7 +142,7 @@ def _compile(kernel: Kernel) -> None:
     try:
         if not kernel.ready:
             kernel.dispatcher.compile(kernel.types)
-    except NumbaError as error:
+    except (NumbaError, TypeError) as error:  # the latter where the list is of another time
         logger.warning("kernel %s %s cannot be compiled: %s", kernel.name, kernel.signature, error)
     finally:
         kernel.dispatcher._cache.give_turn()

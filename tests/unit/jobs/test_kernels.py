@@ -1,5 +1,6 @@
 """What is compiled before jobs want it: the list names kernels, and each is compiled once, callees first."""
 
+import inspect
 import json
 import logging
 import os
@@ -16,6 +17,7 @@ from sms_jobs.app.work.kernels import kernels_left
 from sms_jobs.cli.doctor import doctor
 from sms_jobs.jobs.running import kernels
 from sms_jobs.jobs.running.kernels import Kernel
+from sms_jobs.metrology.kernel_cache import KernelCache
 from sms_jobs.metrology.signatures import text_of
 
 _KERNELS = textwrap.dedent(
@@ -53,6 +55,15 @@ def test_the_list_names_kernels_and_types():
     for one in kernels.listed():
         assert one.dispatcher.py_func.__name__ in one.name or "lens" in one.name, one.name
         assert text_of(one.types) == one.signature, one.name
+        takes = len(inspect.signature(one.dispatcher.py_func).parameters)
+        assert len(one.types) == takes, f"{one.name} takes {takes} arguments: write the list again"
+
+
+def test_the_list_names_what_is_called_by_what_it_names():
+    listed = {id(one.dispatcher) for one in kernels.listed()}
+    for one in kernels.listed():
+        for called in kernels._called(one.dispatcher.py_func):
+            assert id(called) in listed or not isinstance(called._cache, KernelCache), (one.name, called)
 
 
 def test_the_list_names_nothing_twice():
@@ -78,6 +89,14 @@ def test_what_cannot_be_compiled_keeps_nothing_else(some, caplog):
         list(kernels.compile_all([impossible, *some], 1))
     assert kernels.missing([impossible, *some]) == [impossible]
     assert "kernels_to_prepare:impossible (float64,) cannot be compiled" in caplog.text
+
+
+def test_types_of_another_time_keep_nothing_else(some, caplog):
+    old = Kernel("kernels_to_prepare:first", "(float64, float64)")
+    with caplog.at_level(logging.WARNING):
+        list(kernels.compile_all([old, *some], 1))
+    assert kernels.missing([old, *some]) == [old]
+    assert "kernels_to_prepare:first (float64, float64) cannot be compiled: Signature mismatch" in caplog.text
 
 
 def test_a_kernel_that_is_gone_is_told(some):
