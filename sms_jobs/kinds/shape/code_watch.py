@@ -183,7 +183,9 @@ def check_code(
         for k in told.directions
         if (text := told.patterns_mishap(k))
     ]
-    if not found:
+    if found:
+        found = _runs(told, list(told.directions)) or found
+    else:
         coded = [told.coded(k) for k in told.directions]
         each = [judge(one) for one in coded]
         if all(one.agrees(measurement.sequence.steps) for one in each):
@@ -250,10 +252,8 @@ def _explained(told: _Seen, coded: list[CodedLines], found: list[Judgement]) -> 
     A word about all directions has to explain all of them, and comes before what explains one by one.
     """
     wrong = [k for k in told.directions if not found[k].agrees(coded[k].steps)]
-    steps = {_other_steps(told, k) for k in wrong}
-    if steps != {0} and len(steps) == 1:
-        text = f"they are runs of {steps.pop()} phase steps, not of {told.measurement.sequence.steps}"
-        return [CodeFinding(f"{text}: correct the phase steps", True)]
+    if runs := _runs(told, wrong):
+        return runs
     mishaps = {
         k: find_code_mishaps(
             coded[k], found[k], tuple(told.coded(k, fringes_of=j) for j in told.directions if j != k)
@@ -273,6 +273,15 @@ def _explained(told: _Seen, coded: list[CodedLines], found: list[Judgement]) -> 
         elif text := _unexplained(found[k], coded[k].steps):
             said.append(CodeFinding(f"{told.along(k)} {text}", False))
     return sorted(said, key=lambda one: not one.explained)
+
+
+def _runs(told: _Seen, wrong: list[int]) -> list[CodeFinding]:
+    """Say that all orientations that are wrong are runs of another number of steps; nothing where not."""
+    steps = {_other_steps(told, k) for k in wrong}
+    if steps == {0} or len(steps) != 1:
+        return []
+    text = f"they are runs of {steps.pop()} phase steps, not of {told.measurement.sequence.steps}"
+    return [CodeFinding(f"{text}: correct the phase steps", True)]
 
 
 def _other_steps(told: _Seen, orientation: int) -> int:

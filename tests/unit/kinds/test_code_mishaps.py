@@ -33,6 +33,16 @@ def test_each_mishap_is_named(number: int) -> None:
         assert is_named(mishap, said), f"{mishap.name}: {said}"
 
 
+@pytest.mark.parametrize("seed", [10, 18, 26])
+def test_a_word_about_all_frames_comes_before_steps_that_look_alike(seed: int) -> None:
+    # Steps of one direction are counted into the next, where two of them look alike at these places.
+    random = np.random.default_rng(seed)
+    session = coded_session(random, CODED[2])
+    (mishap,) = (m for m in code_mishaps(session, random) if m.name == "code: steps")
+    _, said = reconstructed(session, mishap.measurement)
+    assert "they are runs of 6 phase steps, not of 7: correct the phase steps" in said
+
+
 @pytest.mark.parametrize(
     "seed", [pytest.param(one, marks=() if one < 8 else pytest.mark.long) for one in range(50)]
 )
