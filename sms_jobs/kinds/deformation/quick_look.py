@@ -83,6 +83,8 @@ _SMOOTHING_PX = 0.6
 _SEED_SCORE = 0.4
 _SATURATED = 0.02
 """Of the lit region, as `acquire` allows it: what was imported nobody has judged before."""
+_SHAPE_PART = 0.6
+"""Of the work."""
 _OF_A_GAUGE = 3
 """Points: its ends and its middle."""
 
@@ -171,10 +173,10 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
     statistics: dict[str, float] = {}
     surface = None
     try:
-        surface = _surface(inputs, measurement, step, progress)
+        surface = _surface(inputs, measurement, step, _first_part(progress))
     except MeasurementFailed as error:
         doubts.append(str(error))
-    progress(0.6, "measured the shape")
+    progress(_SHAPE_PART, "measured the shape")
     look = QuickLook("", step, (), (), *_nothing(0))
     if surface is not None:
         records[SURFACE] = surface
@@ -194,6 +196,11 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
     statistics |= {DOUBTS: float(len(doubts)), **_of_gauges(look)}
     progress(1.0, "; ".join(doubts) or "nothing is doubted")
     yield DatasetOutput(inputs.subject, {QUICK_LOOK: look, **records}, statistics)
+
+
+def _first_part(progress: Progress) -> Progress:
+    """Return what tells the progress of the shape, the first part of the work."""
+    return lambda fraction, message="": progress(_SHAPE_PART * fraction, message)
 
 
 def _surface(inputs: Inputs, measurement: Measurement, step: int, progress: Progress) -> Surface:
