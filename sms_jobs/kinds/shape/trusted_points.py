@@ -10,7 +10,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
-from sms_jobs.metrology.arrays import Mask, Reasons
+from sms_jobs.metrology.arrays import Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
@@ -124,16 +124,20 @@ def _straighten(
     left = np.hypot(blur.variance * unsure, blur.variance_sigma * bend)
     sigma = np.hypot(seen.sigma, left)
     left = np.hypot(left, beyond_noise(replace(seen, inverse=straight, sigma=sigma), asked, pair.threads))
-    centre = pair.pose.centre()[:, None]
-    ray = points.xyz[:, asked] - centre
-    ray *= seen.inverse[asked] / straight[asked]
-    points.xyz[:, asked] = centre + ray
-    ray *= left[asked] / straight[asked]
-    before = points.covariance[[0, 3, 5]][:, asked].sum(axis=0)
+    ray = points.xyz - pair.pose.centre()[:, None, None]
+    ray *= seen.inverse / straight
+    np.add(ray, pair.pose.centre()[:, None, None], out=points.xyz)
+    ray *= left / straight
+    before = _trace(points.covariance)
     for index, (one, other) in enumerate(PACKED):
-        points.covariance[index, asked] += (ray[one] * ray[other]).astype(np.float32)
+        points.covariance[index] += (ray[one] * ray[other]).astype(np.float32)
     # What cancels between neighbours stays what it is.
-    points.part[asked] *= before / points.covariance[[0, 3, 5]][:, asked].sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        np.multiply(points.part, before / _trace(points.covariance), out=points.part)
+
+
+def _trace(covariance: Singles) -> Singles:
+    return np.asarray(covariance[0] + covariance[3] + covariance[5])
 
 
 def _on_one_surface(points: Triangulation, pair: SensorPair, known: Mask, beside: Mask) -> Mask:
