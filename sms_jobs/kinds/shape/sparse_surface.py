@@ -95,7 +95,8 @@ def sparse_stereo_surface(
 ) -> Surface:
     """Return the points of every `step`-th pixel of the reference camera, (3, rows, columns) of those alone.
 
-    As `stereo` measures them, from matches `_MATCHES_APART` times as far apart.
+    As `stereo` measures them, from matches `_MATCHES_APART` times as far apart, but no farther than a subset
+    reaches, so that each pixel lies in one.
 
     Raises
     ------

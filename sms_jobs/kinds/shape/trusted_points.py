@@ -84,7 +84,7 @@ def mark_points(
     reason: Reasons,
     corrected: Corrected,
 ) -> None:
-    """Mark the pixels whose point cannot be trusted, and say of others what they are off.
+    """Mark the pixels whose point cannot be trusted; mend the others, and say what they may be off.
 
     One whose rays do not meet, or so flatly that its covariance is beyond all numbers, is out of volume. One
     whose light comes from beside it sees past an edge, or is the rim of a dark speckle: that is no edge. One

@@ -83,20 +83,16 @@ def test_each_is_compiled_once_and_after_what_it_calls(some, processes):
     assert calls["kernels_to_prepare:first"] == frozenset()
 
 
-def test_what_cannot_be_compiled_keeps_nothing_else(some, caplog):
-    impossible = Kernel("kernels_to_prepare:impossible", "(float64,)")
+@pytest.mark.parametrize(
+    ("name", "signature", "words"),
+    [("impossible", "(float64,)", ""), ("first", "(float64, float64)", "Signature mismatch")],
+)
+def test_what_cannot_be_compiled_keeps_nothing_else(some, caplog, name, signature, words):
+    wrong = Kernel(f"kernels_to_prepare:{name}", signature)
     with caplog.at_level(logging.WARNING):
-        list(kernels.compile_all([impossible, *some], 1))
-    assert kernels.missing([impossible, *some]) == [impossible]
-    assert "kernels_to_prepare:impossible (float64,) cannot be compiled" in caplog.text
-
-
-def test_types_of_another_time_keep_nothing_else(some, caplog):
-    old = Kernel("kernels_to_prepare:first", "(float64, float64)")
-    with caplog.at_level(logging.WARNING):
-        list(kernels.compile_all([old, *some], 1))
-    assert kernels.missing([old, *some]) == [old]
-    assert "kernels_to_prepare:first (float64, float64) cannot be compiled: Signature mismatch" in caplog.text
+        list(kernels.compile_all([wrong, *some], 1))
+    assert kernels.missing([wrong, *some]) == [wrong]
+    assert f"kernels_to_prepare:{name} {signature} cannot be compiled: {words}" in caplog.text
 
 
 def test_a_kernel_that_is_gone_is_told(some):

@@ -107,13 +107,14 @@ def test_gauges_read_what_is_true_within_what_they_state(height: Height) -> None
             true = np.stack(stretched(look.place[k, :1], look.place[k, 1:2]))[:, 0]
             scores += list((look.displacement[k] - true) / look.sigma[k])
             scores.append((look.extension[k] - grown(height, gauge)) / look.extension_sigma[k])
-        # Depth is known to half a pixel over the sine of the angle at the worst: 0.01 px of 0.25 mm.
-        assert np.all(look.sigma[:ON] < 0.05)
+        # A shape is known to 0.005 mm, 0.006 px of 0.25 mm over the sine of 20 degrees; two make 0.007.
+        assert np.all(look.sigma[:ON] < 0.01)
     rms = float(np.sqrt(np.mean(np.square(scores))))
     assert np.max(np.abs(scores)) < 4.5, scores
-    # 36 numbers. Those along the baseline are stated 1.6 times too large: the reference camera's noise
-    # moves the shape and the match in time together.
-    assert 0.4 < rms < 1.3, rms
+    # 0.9 in 72 gauges of 24 pairs of states: those along the baseline are stated 1.6 times too large, since
+    # the reference camera's noise moves the shape and the match in time together. 36 numbers, half of them
+    # independent at the worst, scatter by 0.15 about that.
+    assert 0.45 < rms < 1.3, rms
 
 
 def test_the_shape_is_that_of_every_few_pixels() -> None:
@@ -121,8 +122,10 @@ def test_the_shape_is_that_of_every_few_pixels() -> None:
     surface = output.records["surface"]
     x, y, z = surface.position
     valid = surface.reason == Reason.VALID
-    assert valid.mean() > 0.8
+    # A rim of 10 px, beyond which no subset has its points, is 11 % of the image.
+    assert valid.mean() > 0.85
     sigma = np.sqrt(surface.covariance[[0, 3, 5]].sum(axis=0))
     off = np.abs(z - curved(x, y))[valid]
-    assert np.median(off / sigma[valid]) < 1.5
+    # 0.67 for normal errors; 190 subsets beside each other tell the median to 0.06.
+    assert 0.44 < np.median(off / sigma[valid]) < 0.9
     assert output.statistics["gauges_read"] == 0.0
