@@ -98,6 +98,8 @@ def test_a_campaign_of_two_cameras_is_recorded_and_its_shape_computed(home: Path
         (s, "C1C2", "") for s in ("S00", "S01")
     ]
     assert (at_rest["gauges"], look["gauges_lost"]) == ([], 0)
+    # Of what shows texture, but for a rim of some px; around the specimen, on half of the image, there is none.
+    assert all(one["valid_fraction"] > 0.8 for one in looks)
     (gauge,) = look["gauges"]
     assert gauge["name"] == "g1"
     # It moves as a body, so that no gauge grows; 0.003 mm are 0.02 px of the image at both ends.

@@ -353,7 +353,7 @@ def _nothing(gauges: int) -> tuple[Floats, Floats, Singles, Floats, Singles, Any
 def _of_shape(surface: Surface) -> dict[str, float]:
     """Return what people search by of the shape."""
     reason = surface.reason
-    lit = (reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
+    lit = (reason & (Reason.LOW_MODULATION | Reason.NO_TEXTURE | Reason.OUT_OF_VOLUME)) == 0
     saturated = (reason & np.uint32(Reason.SATURATED)) != 0
     part = float(saturated.sum()) / max(float(lit.sum()), 1.0)
     return {**fractions(reason == Reason.VALID, lit), **losses(reason), SATURATED_FRACTION: part}
@@ -376,7 +376,7 @@ def _of_gauges(look: QuickLook) -> dict[str, float]:
 KIND = Kind(
     name="quick-look",
     summary="seconds after a recording: shape at some pixels, displacement at the gauges, what is wrong",
-    version=15,
+    version=16,
     scope=Scope.TUPLE,
     parameters=QuickLookParameters,
     inputs=(_FRAMES, _CALIBRATION, _REFERENCE, _REFERENCE_FRAMES),
