@@ -98,7 +98,7 @@ def test_a_campaign_of_two_cameras_is_recorded_and_its_shape_computed(home: Path
         (s, "C1C2", "") for s in ("S00", "S01")
     ]
     assert (at_rest["gauges"], look["gauges_lost"]) == ([], 0)
-    # Of what shows texture, but for a rim of some px; around the specimen, on half of the image, there is none.
+    # Of what shows texture, but for a rim of some px; on half of the image there is none.
     assert all(one["valid_fraction"] > 0.8 for one in looks)
     (gauge,) = look["gauges"]
     assert gauge["name"] == "g1"
