@@ -42,8 +42,8 @@ class PhaseParameters(Parameters):
     )
     pair_rule: Literal["likelihood", "least-gap"] = Field(
         "likelihood",
-        description="how returns of the orientations are paired: by gap, amplitudes and volume, or by the "
-        "least ray gap alone, as in the thesis",
+        description="how returns of the orientations are paired: by gap, amplitudes and volume, close ones "
+        "told apart by the amplitudes of another orientation; or by the least ray gap, as in the thesis",
     )
     minimum_pair_margin: float = Field(
         3.0,
@@ -145,6 +145,8 @@ class Known:
         Whether that is to be taken out.
     codes
         What frames show whose densities share a modulation; empty for any others.
+    amplitude_spread
+        Relative standard deviation between a return's amplitudes in two orientations, beside noise.
     """
 
     transfers: list[Floats]
@@ -152,6 +154,7 @@ class Known:
     ripples: list[RippleTable]
     corrected: bool
     codes: tuple[JointCode, ...] = ()
+    amplitude_spread: float = 0.0
 
 
 def noise_reasons(

@@ -34,7 +34,7 @@ from sms_jobs.kinds.shape.fringe_response import (
     sampled_response,
 )
 from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseParameters, PhaseTask, mark, noise_reasons
-from sms_jobs.kinds.shape.ranged_phases import range_slab, transfers
+from sms_jobs.kinds.shape.ranged_phases import amplitude_spread, range_slab, shares_amplitudes, transfers
 from sms_jobs.kinds.shape.streaming import exposed_slabs
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
@@ -159,8 +159,11 @@ def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
             if response is None
             else [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
         )
+    spread = 0.0
+    if shares_amplitudes(task.parameters):
+        spread = amplitude_spread(task, ranged, None if response is None else responses)
     codes = joint_codes(task.measurement)
-    return Known(ranged, responses, ripples, corrected=response is not None, codes=codes)
+    return Known(ranged, responses, ripples, response is not None, codes, spread)
 
 
 def _largest_ripple(ripples: list[RippleTable]) -> float:

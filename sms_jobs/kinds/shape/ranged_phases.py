@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseTask, mark, noise_reasons
+from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseParameters, PhaseTask, mark, noise_reasons
 from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
-from sms_jobs.metrology.arrays import Floats, Reasons, Singles
+from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule
 from sms_jobs.metrology.images.masks import phase_error_factor
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
@@ -19,12 +20,19 @@ from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
 from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.ranging.harmonics import ghost_error
+from sms_jobs.metrology.phase.ranging.shared_amplitudes import ToldApart, close_signal, tell_apart
 from sms_jobs.metrology.phase.response import Response
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
 
 _SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
+_WELL_APART = 1.5  # bins: a second return raises the bound of omega by 2 %
+_TOLD_APART = 0.7  # bins: by 40 %
+_LEAST_TELLING = 30  # pixels whose median tells how far amplitudes of two orientations agree
+_MEDIAN_OF_SQUARES = 0.4549  # of a normal number of standard deviation 1
+_LEAST_SPREAD = 0.01  # what a median of so few can miss
+_UNKNOWN_SPREAD = 0.15  # the orientations' fringes are blurred differently by lenses and projector
 
 
 def transfers(task: PhaseTask) -> list[Floats]:
@@ -53,7 +61,7 @@ def range_slab(
     reason: Reasons,
 ) -> None:
     """Fill the rows of `phase` and `returns`, and mark in `reason` what cannot be trusted."""
-    found = _found(task, known, frames)
+    found, ambiguous = _found(task, known, frames)
     pairing = _paired(task, rows, found)
     phase.omega[:, rows] = pairing.omega
     phase.omega_sigma[:, rows] = np.hypot(pairing.omega_sigma, _merged_sigma(task, found, pairing))
@@ -66,6 +74,7 @@ def range_slab(
         reason[rows] |= _range_reasons(task, one, pairing.amplitude[k], error)
     if task.parameters.pair_rule == "likelihood":
         mark(reason[rows], pairing.margin < task.parameters.minimum_pair_margin, Reason.AMBIGUOUS_PAIR)
+    mark(reason[rows], ambiguous, Reason.AMBIGUOUS_PAIR)
     if returns is not None:
         returns.label[rows], returns.margin[rows] = pairing.label, pairing.margin
         for k, one in enumerate(found):
@@ -74,10 +83,28 @@ def range_slab(
             returns.amplitude[k, :, rows] = one.amplitude
 
 
-def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]:
-    """Return the returns of every orientation."""
+def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> tuple[list[Returns], Mask]:
+    """Return the returns of every orientation, and where it is open which of two places they come from."""
+    every = _ranged(task, known.transfers, known.responses if known.corrected else None, frames)
+    every, ambiguous = _told_apart(task, known, frames, every)
+    if known.corrected:
+        return every, ambiguous
+    sequence = task.measurement.sequence
+    return [
+        one if response is None else replace(one, omega_sigma=_with_ghosts(one, response, sequence))
+        for one, response in zip(every, known.responses, strict=True)
+    ], ambiguous
+
+
+def _ranged(
+    task: PhaseTask,
+    transfers: list[Floats],
+    responses: list[Response | None] | None,
+    frames: NDArray[Any],
+) -> list[Returns]:
+    """Return the returns of every orientation by itself; harmonics are taken out if responses are given."""
     measurement, parameters, sequence = task.measurement, task.parameters, task.measurement.sequence
-    every = [
+    return [
         range_returns(
             frames[sequence.frames_of(k)],
             sequence.densities,
@@ -86,18 +113,104 @@ def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> list[Returns]
             returns=parameters.returns,
             window=parameters.window,
             significance=parameters.significance,
-            mtf=known.transfers[k],
-            response=known.responses[k] if known.corrected else None,
+            mtf=transfers[k],
+            response=None if responses is None else responses[k],
             threads=task.threads,
         )
         for k in range(len(sequence.orientations_rad))
     ]
-    if known.corrected:
-        return every
-    return [
-        one if response is None else replace(one, omega_sigma=_with_ghosts(one, response, sequence))
-        for one, response in zip(every, known.responses, strict=True)
+
+
+def shares_amplitudes(parameters: PhaseParameters) -> bool:
+    """Say whether close returns of one orientation are told apart by the amplitudes of another."""
+    return parameters.returns > 1 and parameters.pair_rule == "likelihood"
+
+
+def _told_apart(
+    task: PhaseTask, known: Known, frames: NDArray[Any], found: list[Returns]
+) -> tuple[list[Returns], Mask]:
+    """Return the returns with those that lie close fitted by the amplitudes that another orientation tells.
+
+    With them come the pixels where the weaker return may lie on either side.
+    """
+    measurement, sequence = task.measurement, task.measurement.sequence
+    ambiguous = np.zeros(found[0].count.shape, np.bool_)
+    if not shares_amplitudes(task.parameters):
+        return found, ambiguous
+    apart = [_apart_bins(one, sequence) for one in found]
+    better = list(found)
+    for k, one in enumerate(found):
+        widest = np.argmax(apart, axis=0)
+        close = (one.count > 0) & (apart[k] < _WELL_APART)
+        close &= np.max(apart, axis=0) >= np.maximum(_TOLD_APART, 2.0 * apart[k])
+        for j in sorted({*widest[close].tolist()}):
+            where = close & (widest == j)
+            signal = close_signal(
+                frames[sequence.frames_of(k)][:, where],
+                sequence.densities,
+                sequence.steps,
+                measurement.grey_levels,
+                known.transfers[k],
+                known.responses[k] if known.corrected else None,
+            )
+            told = found[j].amplitude[:2, where].astype(np.float64)
+            noise = told * _relative_sigma(found[j].omega_sigma[:2, where], sequence)
+            mine = np.concatenate([one.omega[:2, where], one.amplitude[:2, where]])
+            fitted = tell_apart(signal, mine, told, np.hypot(noise, known.amplitude_spread * told))
+            better[k] = _with_fitted(better[k], where, fitted)
+            ambiguous[where] |= fitted.ambiguous & ~fitted.against
+    return better, ambiguous
+
+
+def _apart_bins(one: Returns, sequence: FringeSequence) -> Floats:
+    """Return the distance of two returns in bins of 2 pi / s; 0 where there are not two."""
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(one.omega[0] - one.omega[1]) * len(sequence.densities) / (2.0 * np.pi)
+    return np.where(one.count == 2, apart, 0.0)
+
+
+def _relative_sigma(omega_sigma: Singles, sequence: FringeSequence) -> Floats:
+    """Return the relative standard deviations of the amplitudes of returns from those of their omega."""
+    return np.asarray(omega_sigma * np.sqrt(np.mean(np.square(sequence.densities))), np.float64)
+
+
+def _with_fitted(one: Returns, where: Mask, fitted: ToldApart) -> Returns:
+    """Return the returns of an orientation with those of some pixels as they were fitted, strongest first."""
+    kept = np.zeros_like(where)
+    kept[where] = ~fitted.against
+    order = np.argsort(-fitted.amplitude, axis=0)
+    maps = {}
+    for name in ("omega", "omega_sigma", "amplitude"):
+        maps[name] = getattr(one, name).copy()
+        values = np.take_along_axis(getattr(fitted, name), order, axis=0)
+        maps[name][:2, kept] = values[:, ~fitted.against]
+    count = np.where(kept, 2, one.count).astype(np.uint8)
+    return replace(one, **maps, count=count)
+
+
+def amplitude_spread(
+    task: PhaseTask, transfers: list[Floats], responses: list[Response | None] | None
+) -> float:
+    """Return by which part amplitudes of one return differ between orientations, beside noise.
+
+    As a standard deviation, in a sample of the rows: where two orientations tell two returns well apart.
+    """
+    frames, _ = in_best_exposure(task.measurement, sampled(task.measurement.frames, *_SAMPLED))
+    found = _ranged(task, transfers, responses, frames)
+    sequence = task.measurement.sequence
+    well = [_apart_bins(one, sequence) >= _WELL_APART for one in found]
+    squares = [
+        np.median(
+            np.log(found[j].amplitude[rank, both] / found[k].amplitude[rank, both]) ** 2 / _MEDIAN_OF_SQUARES
+            - sum(_relative_sigma(found[i].omega_sigma[rank, both], sequence) ** 2 for i in (j, k))
+        )
+        for j, k in combinations(range(len(found)), 2)
+        if np.count_nonzero(both := well[j] & well[k]) >= _LEAST_TELLING
+        for rank in (0, 1)
     ]
+    if not squares:
+        return _UNKNOWN_SPREAD
+    return max(float(np.sqrt(max(*squares, 0.0))), _LEAST_SPREAD)
 
 
 def _with_ghosts(one: Returns, response: Response, sequence: FringeSequence) -> Singles:

@@ -166,7 +166,7 @@ def test_the_half_that_is_lit_twice_is_as_flat_as_the_other() -> None:
     assert off_plane(unwrapped, apart) > 5.0 * off_plane(cloud, apart)
 
 
-def test_diagonal_fringes_separate_what_vertical_ones_cannot() -> None:
+def test_amplitudes_separate_what_vertical_fringes_cannot() -> None:
     crossed, diagonal = mirror(CROSSED), mirror(DIAGONAL)
     _, twice = crossed.halves()
     # The hinge lies along x, so that both returns leave nearly the same column of the projector.
@@ -174,11 +174,24 @@ def test_diagonal_fringes_separate_what_vertical_ones_cannot() -> None:
     assert close.sum() > 300
     told = [diagonal.separation_bins(a)[close] for a in DIAGONAL]
     assert np.median(np.minimum(*told)) > 1.2
-    first = crossed.reconstruct(method="fdr", returns=2).records["surface"]
-    second = diagonal.reconstruct(method="fdr", returns=2).records["surface"]
-    errors = [np.linalg.norm(c.position - crossed.shape.xyz, axis=0)[close] for c in (first, second)]
+    alone, shared, apart = (
+        scene.reconstruct(method="fdr", returns=2, pair_rule=rule).records["surface"]
+        for scene, rule in ((crossed, "least-gap"), (crossed, "likelihood"), (diagonal, "likelihood"))
+    )
+    errors = [
+        np.linalg.norm(cloud.position - crossed.shape.xyz, axis=0)[close & (cloud.reason == Reason.VALID)]
+        for cloud in (alone, shared, apart)
+    ]
     # The bound of two returns 0.3 bins apart is 6.7 times that of one, and that of 1.2 bins 1.04 times.
-    assert np.nanmedian(errors[0]) > 4.0 * np.nanmedian(errors[1])
+    assert np.median(errors[0]) > 4.0 * np.median(errors[2])
+    # With the amplitudes that horizontal fringes tell it is 1.5 to 2.5 times that of one from 0.15 bins on;
+    # nearer to the hinge the weaker return may lie on either side.
+    assert np.median(errors[1]) < 0.6 * np.median(errors[0])
+    decided = close & (crossed.separation_bins(0.0) > 0.25)
+    assert (shared.reason[decided] == Reason.VALID).mean() > 0.98
+    z = scores(shared, crossed.shape, close)
+    assert np.median(z) / 0.6745 == pytest.approx(1.0, abs=0.15)
+    assert z.max() < 6.0
 
 
 def test_what_is_stated_of_two_returns_happens() -> None:
