@@ -355,6 +355,11 @@ def camera_tuples(campaign: Campaign) -> tuple[Subject, ...]:
     return _tuples(campaign, campaign.camera_views)
 
 
+def tuples_alone(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return those of cameras that measure in the plane of their image alone."""
+    return _tuples(campaign, campaign.cameras_alone)
+
+
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:
     """Return every tuple by which displacement is measured: all states but the reference."""
     return _deformed(campaign, _tuples(campaign, campaign.measured_views))

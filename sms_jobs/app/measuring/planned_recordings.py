@@ -129,7 +129,7 @@ def plan(
     InvalidInput
         The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
         not say what the channel reads at a state; what is waited for does not fit channel or states; or there
-        is no view that measures shape to look at.
+        are cameras alone to look at, and nobody knows the size of a pixel.
     """
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs.recording import due_recordings
@@ -158,18 +158,24 @@ def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> Non
     """Raise `InvalidInput` without a view to look at, and `NotFound` for a gauge that is not described."""
     # Which loads the kinds, as the states have so far.
     from sms_jobs.formats.gauge_descriptions import described_gauge
-    from sms_jobs.kinds.deformation.quick_look import declared_gauges
+    from sms_jobs.kinds.deformation.quick_look import declared_gauges, subjects_looked_at
 
-    if not campaign.shape_views:
+    views = {one.view or "": None for one in subjects_looked_at(campaign)}
+    if not views:
         raise InvalidInput(
-            f"{campaign.name} has no view of a camera and a projector or of several cameras, and a camera "
-            "alone has no quick look; leave out `look` and `stop_if`"
+            f"{campaign.name} has cameras alone, and nobody said how large a pixel is on the specimen: give "
+            "mm_per_px under [processing.plane] of the test plan, or leave out `look` and `stop_if`"
         )
-    known = [described_gauge(text).name for text in declared_gauges(campaign)]
+    known = list(
+        dict.fromkeys(
+            described_gauge(text).name for view in views for text in declared_gauges(campaign, view)
+        )
+    )
+    in_mm = " in mm" if campaign.shape_views else ""
     for limit in stop_if:
         if limit.gauge not in known:
             raise NotFound(
-                f"{campaign.name} has no gauge '{limit.gauge}' in mm; it has {', '.join(known) or 'none'}: "
+                f"{campaign.name} has no gauge '{limit.gauge}'{in_mm}; it has {', '.join(known) or 'none'}: "
                 "describe it under [processing.gauges] of the test plan"
             )
 

@@ -31,6 +31,7 @@ from sms_jobs.jobs.planning.submission import Draft, Terms, draft, enter, while_
 from sms_jobs.jobs.recording import planned_recordings, recordings
 from sms_jobs.jobs.recording.planned_recordings import Planned
 from sms_jobs.kinds.deformation.quick_look import KIND as LOOK
+from sms_jobs.kinds.deformation.quick_look import subjects_looked_at
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import KIND
 from sms_jobs.records import triggers
@@ -343,9 +344,9 @@ def _look(session: Session, one: Asked) -> Request:
     rest = campaign.reference.label
     there = (
         newest_file(session, MEASUREMENT, recorded, DATASET_MEDIA_TYPE)
-        for view in campaign.shape_views
-        if view not in campaign.late_views
-        for recorded in Subject(one.campaign, rest, view).recordings
+        for looked_at in subjects_looked_at(campaign)
+        if looked_at.state == rest and looked_at.view not in campaign.late_views
+        for recorded in looked_at.recordings
     )
     alone = one.label != rest and None in there
     return Request(LOOK.name, {"alone": alone}, (one.label,), priority=_FIRST)

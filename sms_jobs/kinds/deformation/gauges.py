@@ -120,7 +120,7 @@ def read_gauges(
     `states` is how well the view is known at the reference state and at this one, None where nobody says.
     Raises `InvalidInput` where a place says nothing on the surface.
     """
-    places = [_place_on(surface, text) for text in parameters.gauge]
+    places = [place_on(surface, text) for text in parameters.gauge]
     labels = np.where(moved.reason == Reason.VALID, regions.labels, 0).astype(np.int32)
     position = in_space(surface.position)
     pitch = pixel_pitch(position, labels, 0.5)
@@ -158,7 +158,7 @@ def read_gauges(
     return replace(_readings(found, surface, parameters), sigma_calibration=part)
 
 
-def _place_on(surface: Surface, text: str) -> GaugePlace:
+def place_on(surface: Surface, text: str) -> GaugePlace:
     """Return where a gauge lies in the unit of a surface; `InvalidInput` where its own says nothing there.
 
     In an image places are given from the first pixel with y down, and y points up here.

@@ -1,7 +1,8 @@
 """Quick look: what can be told of a state seconds after it was recorded, before anybody computes results.
 
-Shape at some pixels only, displacement and extension at the gauges only, and what is wrong, by fringes or by
-several cameras. It is for the person at the rig, who holds the load meanwhile; no result is made of it.
+Shape at some pixels only, displacement and extension at the gauges only, and what is wrong, by fringes, by
+several cameras, or by one alone in the plane of its image. It is for the person at the rig, who holds the
+load meanwhile; no result is made of it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pydantic import Field
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.formats.gauge_descriptions import described_gauge
 from sms_jobs.kinds.deformation.gauges import KIND as GAUGES_KIND
-from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges
+from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, place_on
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     MEASUREMENT,
@@ -31,10 +32,14 @@ from sms_jobs.kinds.kind import (
     Scope,
     is_deformed,
     tuples,
+    tuples_alone,
 )
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, SURFACE, UNCERTAINTY, Product
+from sms_jobs.kinds.shape.plane import KIND as PLANE
+from sms_jobs.kinds.shape.plane import PlaneParameters
+from sms_jobs.kinds.shape.sparse_plane import plane_with_regions, scale_of, sparse_plane
 from sms_jobs.kinds.shape.sparse_surface import sparse_stereo_surface, sparse_surface, with_regions
 from sms_jobs.kinds.shape.stereo import KIND as STEREO
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
@@ -77,6 +82,7 @@ from sms_jobs.records.statistic_names import (
     with_sigma,
 )
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.views import view_of
 
 _SMOOTHING_PX = 0.6
 """As `correlate` filters textures."""
@@ -126,12 +132,15 @@ class Compared:
         See `gauges.frame_of_gauges`.
     stereo
         How several cameras are matched.
+    plane
+        How large a pixel of a camera alone is, and where the specimen ends.
     """
 
     reference: str
     gauges: tuple[str, ...]
     frame: Pose
     stereo: StereoParameters
+    plane: PlaneParameters
 
 
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED, RECORDED), several=True)
@@ -142,26 +151,37 @@ _REFERENCE_FRAMES = Port(FRAMES_AT_REST, MEASUREMENT, (MEASURED,))
 
 def _needs(campaign: Campaign, subject: Subject, parameters: QuickLookParameters) -> Iterable[Need]:
     yield from map(_FRAMES.of, subject.recordings)
-    yield _CALIBRATION.of(subject)
+    if view_of(subject.view).measures_shape:
+        yield _CALIBRATION.of(subject)
     at_rest = replace(subject, state=campaign.reference.label)
     if is_deformed(campaign, subject) and not parameters.alone:
         yield _REFERENCE.of(at_rest)
         yield _REFERENCE_FRAMES.of(textured_by(at_rest))
 
 
-def declared_gauges(campaign: Campaign) -> tuple[str, ...]:
-    """Return the gauges of a campaign that lie on a surface, as they are described."""
+def subjects_looked_at(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return every tuple that can be looked at: of a camera alone, where the size of a pixel is known."""
+    return (*tuples(campaign), *(tuples_alone(campaign) if scale_of(campaign) is not None else ()))
+
+
+def declared_gauges(campaign: Campaign, view: str) -> tuple[str, ...]:
+    """Return the gauges of a campaign that a view can read, as they are described: a surface has no px."""
     given: dict[str, Any] = campaign.processing.get(GAUGES_KIND.name, {})
     if not given.get("gauge"):
         return ()
     gauges = GaugesParameters.model_validate(given).gauge
-    return tuple(text for text in gauges if described_gauge(text).unit == "mm")
+    surface = view_of(view).measures_shape
+    return tuple(text for text in gauges if not surface or described_gauge(text).unit == "mm")
 
 
 def _context(campaign: Campaign, subject: Subject) -> Compared:
-    stereo = StereoParameters.model_validate(campaign.processing.get(STEREO.name, {}))
-    frame = frame_of_gauges(campaign, subject)
-    return Compared(campaign.reference.label, declared_gauges(campaign), frame, stereo)
+    return Compared(
+        campaign.reference.label,
+        declared_gauges(campaign, subject.view or ""),
+        frame_of_gauges(campaign, subject),
+        StereoParameters.model_validate(campaign.processing.get(STEREO.name, {})),
+        PlaneParameters.model_validate(campaign.processing.get(PLANE.name, {})),
+    )
 
 
 def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> Iterator[Output]:
@@ -207,6 +227,8 @@ def _surface(inputs: Inputs, measurement: Measurement, step: int, progress: Prog
     """Return the shape at every `step`-th pixel."""
     if inputs.view.projectors:
         return sparse_surface(inputs, _CALIBRATION, measurement, step, progress)
+    if not inputs.view.measures_shape:
+        return sparse_plane(str(inputs.view), measurement, inputs.context.plane, step)
     return sparse_stereo_surface(inputs, inputs.context.stereo, step, progress)
 
 
@@ -231,9 +253,8 @@ def _compared(
     """Return what the gauges read, and by how much the image is less sharp, in px; NaN where nobody knows."""
     context: Compared = inputs.context
     before = inputs.read(_REFERENCE_FRAMES, MEASURED)
-    at_rest = with_regions(inputs, _CALIBRATION, inputs.read(_REFERENCE, SURFACE), step)
-    now = with_regions(inputs, _CALIBRATION, surface, step)
-    rest, moved = (_in_frame(one, context.frame) for one in (at_rest, now))
+    surfaces = inputs.read(_REFERENCE, SURFACE), surface
+    rest, moved = (_in_frame(_parted(inputs, one, step), context.frame) for one in surfaces)
     shape = before.texture.shape
     widths = [
         texture_width(one.texture, on.spread(*shape) > 0, one.read_noise**2, one.gain)
@@ -241,7 +262,7 @@ def _compared(
     ]
     blur = float(np.sqrt(max(widths[1] ** 2 - widths[0] ** 2, 0.0))) if np.isfinite(widths).all() else np.nan
     described = [described_gauge(text) for text in context.gauges]
-    points = [point for one in described for point in _points(one.place)]
+    points = [point for text in context.gauges for point in _points(place_on(surface, text))]
     found, reason = _moved(
         inputs.threads, parameters, (before, measurement), (rest, moved), np.reshape(points, (-1, 2))
     )
@@ -261,6 +282,13 @@ def _compared(
         context.reference, step, (), names, place, displacement, sigma, longer, longer_sigma, why
     )
     return look, blur
+
+
+def _parted(inputs: Inputs, surface: Surface, step: int) -> SparseSurface:
+    """Return a sparse surface with its continuous regions."""
+    if surface.has_depth:
+        return with_regions(inputs, _CALIBRATION, surface, step)
+    return plane_with_regions(surface, step)
 
 
 def _moved(
@@ -376,14 +404,14 @@ def _of_gauges(look: QuickLook) -> dict[str, float]:
 KIND = Kind(
     name="quick-look",
     summary="seconds after a recording: shape at some pixels, displacement at the gauges, what is wrong",
-    version=16,
+    version=17,
     scope=Scope.TUPLE,
     parameters=QuickLookParameters,
     inputs=(_FRAMES, _CALIBRATION, _REFERENCE, _REFERENCE_FRAMES),
     outputs=(QUICK_LOOK, SURFACE),
     needs=_needs,
     run=run,
-    subjects=tuples,
+    subjects=subjects_looked_at,
     context=_context,
     in_pipeline=False,
 )

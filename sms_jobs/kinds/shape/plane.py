@@ -30,6 +30,7 @@ from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.texture_extent import textured_pixels
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
+from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
 
@@ -69,7 +70,14 @@ def _needs(campaign: Campaign, subject: Subject, parameters: PlaneParameters) ->
 
 def run(inputs: Inputs, parameters: PlaneParameters, progress: Progress) -> Iterator[Output]:
     """Say of every pixel of the reference image where it lies, and whether it shows the specimen."""
-    measurement = inputs.read(_FRAMES, MEASURED)
+    surface = plane_of(inputs.read(_FRAMES, MEASURED), str(inputs.view), parameters)
+    valid = surface.reason == Reason.VALID
+    progress(1.0, f"{np.count_nonzero(valid)} of {valid.size} pixels show the specimen")
+    yield DatasetOutput(inputs.subject, {SURFACE: surface}, fractions(valid, np.ones_like(valid)))
+
+
+def plane_of(measurement: Measurement, view: str, parameters: PlaneParameters) -> Surface:
+    """Return the image of a camera alone as a surface, in mm if the size of a pixel is known."""
     shape = measurement.texture.shape
     reason = np.zeros(shape, dtype=np.uint32)
     if parameters.outline == "texture":
@@ -79,10 +87,7 @@ def run(inputs: Inputs, parameters: PlaneParameters, progress: Progress) -> Iter
     scale = parameters.mm_per_px
     position = pixels_as_plane(shape, 1.0 if scale is None else scale)
     position[:, reason != 0] = np.nan
-    surface = Surface(str(inputs.view), "px" if scale is None else "mm", position, reason, mm_per_px=scale)
-    valid = reason == Reason.VALID
-    progress(1.0, f"{np.count_nonzero(valid)} of {valid.size} pixels show the specimen")
-    yield DatasetOutput(inputs.subject, {SURFACE: surface}, fractions(valid, np.ones(shape, dtype=bool)))
+    return Surface(view, "px" if scale is None else "mm", position, reason, mm_per_px=scale)
 
 
 KIND = Kind(

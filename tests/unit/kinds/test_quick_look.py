@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from sms_jobs.kinds.deformation.quick_look import KIND, Compared, QuickLookParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.fields import Surface
@@ -76,7 +77,9 @@ class Test:
 def ran(
     subject: Subject, placement: Pose, datasets: dict[str, InMemory], parameters: QuickLookParameters
 ) -> DatasetOutput:
-    inputs = Inputs(subject, Compared("S00", GAUGES, placement, StereoParameters()), datasets)
+    inputs = Inputs(
+        subject, Compared("S00", GAUGES, placement, StereoParameters(), PlaneParameters()), datasets
+    )
     (output,) = KIND.run(inputs, parameters, unheard)
     assert isinstance(output, DatasetOutput)
     KIND.checked(output)

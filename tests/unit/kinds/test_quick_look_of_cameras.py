@@ -12,6 +12,7 @@ from support.two_cameras import VOLUME, Floats, Height, Motion, at_rest, cameras
 
 from sms_jobs.kinds.deformation.quick_look import KIND, Compared, QuickLookParameters
 from sms_jobs.kinds.kind import DatasetOutput, Inputs
+from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
@@ -71,7 +72,8 @@ def looked_at(height: Height, motion: Motion, seed: int, rest: DatasetOutput | N
         frames = {"measurement": recorded(height, at_rest, 0, seed)}
         datasets["reference"] = InMemory(before, rest.records)
         datasets["reference_measurement"] = InMemory(before.recordings[0], frames)
-    compared = Compared("S00", tuple(GAUGES), Pose.from_arrays(np.eye(3), np.zeros(3)), StereoParameters())
+    at_origin = Pose.from_arrays(np.eye(3), np.zeros(3))
+    compared = Compared("S00", tuple(GAUGES), at_origin, StereoParameters(), PlaneParameters())
     told: list[float] = []
     inputs = Inputs(subject, compared, datasets)
     (output,) = KIND.run(inputs, QuickLookParameters(), lambda fraction, message="": told.append(fraction))
