@@ -266,12 +266,15 @@ class StrainField:
     The frame at a point lies in the tangent plane of the reference surface: x is the specimen's x axis
     projected onto that plane, z the outward normal (towards the camera), y completes it. In the plane of an
     image x points to the right and y up. The gauge length is in `unit`. The spatial resolution is that of
-    gauge disc and displacement together, told as that of a displacement is.
+    gauge and displacement together, told as that of a displacement is.
 
     Attributes
     ----------
     x_axis
         The vector that is projected, in the frame of the surface; None where nobody has said it.
+    square_px
+        Side in px of the square of pixels over which strain was taken, whose side is the gauge length where a
+        pixel has its median size; None for a disc.
     bias
         What strain is off by that bends within a gauge length; no mean makes it less. None where it has not
         been looked for.
@@ -298,6 +301,7 @@ class StrainField:
         STRAIN_COMPONENTS,
         default=None,
     )
+    square_px: int | None = None
 
 
 @dataclass(frozen=True)

@@ -200,6 +200,8 @@ def _components(merged: MergedField, sampler: Sampler) -> list[Field]:
 def _method(strain: StrainField, mm_per_px: float | None) -> str:
     measure = strain.measure.replace("green-lagrange", "Green-Lagrange")
     length = f"{strain.gauge_length:.4g} {strain.unit}"
+    if strain.square_px is not None:
+        return f"Strain: {measure}, over squares of {strain.square_px} px with a side of {length}."
     if mm_per_px is not None:
         length += f" ({strain.gauge_length / mm_per_px:.4g} px)"
     return f"Strain: {measure}, over a gauge length of {length}."

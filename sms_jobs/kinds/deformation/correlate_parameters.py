@@ -12,8 +12,11 @@ from sms_jobs.metrology.deformation.matching.grid import Method
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.images.region_of_interest import parse_outlines
+from sms_jobs.metrology.images.segmentation import EdgeSettings, EdgeTest
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant
+
+_USUAL_EDGES = EdgeSettings()
 
 
 class CorrelateParameters(Parameters):
@@ -113,6 +116,31 @@ class CorrelateParameters(Parameters):
         "correlation, know none: then they hold whatever is in their square; of a camera alone they end "
         "where its surface does",
     )
+    discontinuity: EdgeTest = Field(
+        "gap",
+        description="what parts regions: a gap between neighbours that no crease explains, or a gradient "
+        "steeper than maximum-slope-rad; that gradient alone (thesis Eq. 3.8, 3.9); or, to compare with, the "
+        "distance of neighbours (thesis Eq. 3.5, 3.6)",
+    )
+    maximum_slope_rad: float = Field(
+        _USUAL_EDGES.maximum_slope_rad,
+        ge=0.1,
+        le=1.55,
+        description="steepest surface, from one that faces the camera, that is one region: a pixel covers "
+        "its footprint over the cosine of this",
+    )
+    slope_half_width_px: int = Field(
+        _USUAL_EDGES.half_width,
+        ge=2,
+        le=20,
+        description="p of the thesis: a gradient is the slope of a line through the valid ones of 2 p + 1 px",
+    )
+    neighbour_distance_mm: float | None = Field(
+        None,
+        gt=0.0,
+        description="for discontinuity = distance: neighbours this far apart in space are apart; what a "
+        "pixel covers at maximum-slope-rad when not given",
+    )
     edge_spacing_px: int | None = Field(
         None,
         ge=1,
@@ -145,6 +173,31 @@ class CorrelateParameters(Parameters):
         return self
 
     @model_validator(mode="after")
+    def _discontinuities_are_found_one_way(self) -> Self:
+        chosen = edge_settings(self)
+        if self.regions == "none" and chosen != _USUAL_EDGES:
+            raise ValueError(
+                "discontinuity, maximum_slope_rad, slope_half_width_px and neighbour_distance_mm are of "
+                "regions = measured and mean nothing with regions = none; leave them out"
+            )
+        if chosen.distance is not None and chosen.test != "distance":
+            raise ValueError(
+                f"neighbour_distance_mm = {chosen.distance:g} means nothing with discontinuity = "
+                f"{chosen.test}; leave it out or choose discontinuity = distance"
+            )
+        if chosen.test == "distance" and chosen.half_width != _USUAL_EDGES.half_width:
+            raise ValueError(
+                f"slope_half_width_px = {chosen.half_width} means nothing with discontinuity = distance, "
+                "which fits no slope; leave it out or choose discontinuity = gradient"
+            )
+        if chosen.distance is not None and chosen.maximum_slope_rad != _USUAL_EDGES.maximum_slope_rad:
+            raise ValueError(
+                f"maximum_slope_rad = {chosen.maximum_slope_rad:g} means nothing beside "
+                f"neighbour_distance_mm = {chosen.distance:g}; leave one of them out"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _spacings_fit(self) -> Self:
         if self.edge_spacing_px is not None and (
             self.spacing_px % self.edge_spacing_px or self.spacing_px > 4 * self.edge_spacing_px
@@ -154,6 +207,16 @@ class CorrelateParameters(Parameters):
                 "be at least a quarter of it"
             )
         return self
+
+
+def edge_settings(parameters: CorrelateParameters) -> EdgeSettings:
+    """Return how discontinuities of the measured shape are found."""
+    return EdgeSettings(
+        parameters.discontinuity,
+        parameters.slope_half_width_px,
+        parameters.maximum_slope_rad,
+        parameters.neighbour_distance_mm,
+    )
 
 
 def match_settings(parameters: CorrelateParameters, minimum_part: float = 0.2) -> MatchSettings:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import states_of, strain_sigma
@@ -30,19 +31,28 @@ from sms_jobs.kinds.resolution import extent_of_pixels, resolution_statistics
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
-from sms_jobs.metrology.deformation.fields.spatial_resolution import strain_resolution
-from sms_jobs.metrology.deformation.strain.strain_errors import shared_errors
-from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
+from sms_jobs.metrology.deformation.fields.spatial_resolution import (
+    left_by_gauge,
+    left_by_square,
+    strain_resolution,
+)
+from sms_jobs.metrology.deformation.strain.square import (
+    radius_of_equal_spread,
+    square_window,
+    strain_over_squares,
+)
+from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, Window, shared_errors
+from sms_jobs.metrology.deformation.strain.tangent_plane import SurfaceStrain, surface_strain
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.fields import StrainField, StrainMeasure, Surface
+from sms_jobs.records.fields import DisplacementField, StrainField, StrainMeasure, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import Vector
 from sms_jobs.records.statistic_names import MAXIMUM_PRINCIPAL_STRAIN
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
-_USUAL_MM, _USUAL_PX = 20.0, 60.0
+_USUAL_MM, _USUAL_PX, _USUAL_SQUARE_PX = 20.0, 60.0, 7
 
 
 class StrainParameters(Parameters):
@@ -60,6 +70,17 @@ class StrainParameters(Parameters):
         description="the same in the image of a camera alone, where its length in mm is not given; "
         f"{_USUAL_PX:g} px if neither is",
     )
+    method: Literal["disc", "square"] = Field(
+        "disc",
+        description="disc: a plane fitted to displacement over a disc of surface; square, the thesis's "
+        "(section 6.2.5): lines fitted along rows and columns of a square of pixels, their slopes averaged",
+    )
+    square_px: int = Field(
+        _USUAL_SQUARE_PX,
+        ge=3,
+        le=101,
+        description="side N_s of the square, an odd number of pixels, for method = square",
+    )
     measure: StrainMeasure = Field(
         "green-lagrange", description="Green-Lagrange strain, which no rotation changes, or small strain"
     )
@@ -67,9 +88,28 @@ class StrainParameters(Parameters):
         20.0,
         gt=0.0,
         le=180.0,
-        description="a gauge disc ends where the surface has turned by more than this from its centre; 180 "
-        "for no such limit",
+        description="a gauge disc, or a square, ends where the surface has turned by more than this from its "
+        "centre; 180 for no such limit",
     )
+
+    @model_validator(mode="after")
+    def _one_gauge_is_given(self) -> Self:
+        if self.method == "disc" and self.square_px != _USUAL_SQUARE_PX:
+            raise ValueError(
+                f"square_px = {self.square_px} means nothing with method = disc; leave it out or choose "
+                "method = square"
+            )
+        for name, length in (("mm", self.gauge_length_mm), ("px", self.gauge_length_px)):
+            if self.method == "square" and length is not None:
+                raise ValueError(
+                    f"gauge_length_{name} = {length:g} is of discs and means nothing with method = square; "
+                    "leave it out and give square_px"
+                )
+        if self.square_px % 2 == 0:
+            raise ValueError(
+                f"square_px = {self.square_px} has no pixel in the middle; choose {self.square_px + 1}"
+            )
+        return self
 
 
 _MOVED = Port(MOVED, "correlate", (DISPLACEMENT, REGIONS, CALIBRATION_FACTOR))
@@ -107,38 +147,96 @@ def gauge_length_of(surface: Surface, parameters: StrainParameters) -> float:
     return in_px
 
 
+@dataclass(frozen=True)
+class _Gauge:
+    """Over what strain is taken: its length, in the surface's unit, and the radius of a disc like it, in px.
+
+    A disc like a square is that in which points scatter as much; `square_px` is None for a disc.
+    """
+
+    length: float
+    disc_radius_px: float
+    square_px: int | None = None
+
+
+def _gauge_of(surface: Surface, pitch: float, parameters: StrainParameters) -> _Gauge:
+    """Return the gauge on a surface of which a pixel sees `pitch`."""
+    if parameters.method == "square":
+        side = parameters.square_px
+        return _Gauge(side * pitch, radius_of_equal_spread(side), side)
+    length = gauge_length_of(surface, parameters)
+    return _Gauge(length, 0.5 * length / pitch)
+
+
+def _strained(
+    inputs: Inputs,
+    surface: Surface,
+    moved: DisplacementField,
+    labels: NDArray[np.int32],
+    gauge: _Gauge,
+    parameters: StrainParameters,
+) -> SurfaceStrain:
+    """Return the strain over a gauge."""
+    position, displacement = in_space(surface.position), in_space(moved.displacement)
+    covariance, of_cloud = covariance_in_space(moved.covariance), independent_covariance(surface)
+    bias = bias_in_space(moved)
+
+    def errors(disc_radius_px: float, window: Window | None = None) -> SharedErrors:
+        return shared_errors(
+            covariance,
+            of_cloud,
+            bias,
+            averaging_radius_px=moved.averaging_radius_px,
+            subset_radius_px=moved.subset_radius_px,
+            disc_radius_px=disc_radius_px,
+            window=window,
+        )
+
+    def errors_of(side: int) -> SharedErrors:
+        window = square_window(side, moved.averaging_radius_px, moved.subset_radius_px)
+        return errors(radius_of_equal_spread(side), window)
+
+    green = parameters.measure == "green-lagrange"
+    fold = float(np.radians(parameters.fold_angle_deg))
+    if gauge.square_px is not None:
+        return strain_over_squares(
+            position,
+            displacement,
+            errors_of,
+            labels,
+            side=gauge.square_px,
+            x_axis=inputs.context,
+            green_lagrange=green,
+            fold_angle_rad=fold,
+            threads=inputs.threads,
+        )
+    return surface_strain(
+        position,
+        displacement,
+        errors(gauge.disc_radius_px),
+        labels,
+        gauge_length=gauge.length,
+        x_axis=inputs.context,
+        green_lagrange=green,
+        fold_angle_rad=fold,
+        threads=inputs.threads,
+    )
+
+
 def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Iterator[Output]:
     """Differentiate the stored displacement over the stored surface; nothing is correlated again."""
     surface = inputs.read(_REFERENCE.port, SURFACE)
-    gauge_length = gauge_length_of(surface, parameters)
     moved = inputs.read(_MOVED, DISPLACEMENT)
     regions = inputs.read(_MOVED, REGIONS)
-    position = in_space(surface.position)
-    pitch = pixel_pitch(position, np.where(moved.reason == Reason.VALID, regions.labels, 0), 0.5)
-    found = surface_strain(
-        position,
-        in_space(moved.displacement),
-        shared_errors(
-            covariance_in_space(moved.covariance),
-            independent_covariance(surface),
-            bias_in_space(moved),
-            averaging_radius_px=moved.averaging_radius_px,
-            subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=0.5 * gauge_length / pitch,
-        ),
-        regions.labels,
-        gauge_length=gauge_length,
-        x_axis=inputs.context,
-        green_lagrange=parameters.measure == "green-lagrange",
-        fold_angle_rad=float(np.radians(parameters.fold_angle_deg)),
-        threads=inputs.threads,
-    )
+    known = np.where(moved.reason == Reason.VALID, regions.labels, 0)
+    gauge = _gauge_of(surface, pixel_pitch(in_space(surface.position), known, 0.5), parameters)
+    found = _strained(inputs, surface, moved, regions.labels, gauge, parameters)
     reason = moved.reason.copy()
     reason[(reason == Reason.VALID) & np.isnan(found.strain[0])] = Reason.TOO_FEW_NEIGHBOURS
     field = StrainField(
         parameters.measure,
         moved.unit,
-        gauge_length,
+        gauge.length,
         found.strain,
         found.sigma.astype(np.float32),
         found.principal,
@@ -146,18 +244,22 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
         reason,
         x_axis=inputs.context,
         bias=found.bias.astype(np.float32),
+        square_px=gauge.square_px,
     )
     if moved.resolution is not None:
         field = _with_resolution(field, moved.resolution, surface, regions.labels, moved.subset_radius_px)
     states = states_of(inputs, _MOVED)
     if states is not None:
+        like_it = gauge.length
+        if gauge.square_px is not None:
+            like_it *= 2.0 * gauge.disc_radius_px / gauge.square_px
         sigma = strain_sigma(
             states,
             surface,
             moved,
             regions.labels,
-            gauge_length,
-            0.5 * gauge_length / pitch,
+            like_it,
+            gauge.disc_radius_px,
             inputs.context,
             green_lagrange=parameters.measure == "green-lagrange",
         )
@@ -174,8 +276,9 @@ def _with_resolution(
     labels: NDArray[np.int32],
     radius_px: int,
 ) -> StrainField:
-    """Return strain with the spatial resolution that displacement and gauge disc leave it."""
-    found = strain_resolution(of_displacement, field.gauge_length).astype(np.float32)
+    """Return strain with the spatial resolution that displacement and gauge leave it."""
+    left = left_by_gauge if field.square_px is None else left_by_square
+    found = strain_resolution(of_displacement, field.gauge_length, left).astype(np.float32)
     found[field.reason != Reason.VALID] = np.nan
     in_px = found / extent_of_pixels(surface, labels, radius_px)
     median = float(np.nanmedian(in_px)) if np.isfinite(in_px).any() else None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters, edge_settings
 from sms_jobs.kinds.kind import CALIBRATION, Inputs, Port
 from sms_jobs.kinds.products import CALIBRATED, PHASE, SURFACE
 from sms_jobs.kinds.shape.textures import filtered, white_texture
@@ -139,6 +139,7 @@ def _state(
         np.sqrt(position_covariance(surface)[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
         pixel_footprint(surface.position, sensor.intrinsics, sensor.pose),
         minimum_area=parameters.minimum_region_area_px,
+        edges=edge_settings(parameters),
         threads=inputs.threads,
     )
     return whole.with_regions(regions, parameters)

@@ -265,13 +265,17 @@ def _of_strain(inputs: Inputs, pitches: Mapping[str, float]) -> Iterator[Conditi
         field = inputs.read(STRAINS, STRAIN, subject)
         pitch = pitches.get(view)
         wide = None if pitch is None else field.gauge_length / pitch
-        in_px = "" if wide is None else f" ({number(wide)} px)"
-        window = f"disc of {number(field.gauge_length)} {field.unit}{in_px} over every pixel"
-        yield Condition(STRAINED, "strain window", view, window)
+        length = f"{number(field.gauge_length)} {field.unit}"
+        window = f"disc of {length}" if wide is None else f"disc of {length} ({number(wide)} px)"
+        fitted = "plane fitted to displacement in the tangent plane, least squares"
+        if field.square_px is not None:
+            wide = float(field.square_px)
+            window = f"square of {field.square_px} x {field.square_px} px ({length})"
+            fitted = "lines fitted to displacement along rows and columns, least squares, slopes averaged"
+        yield Condition(STRAINED, "strain window", view, f"{window} over every pixel")
         yield Condition(STRAINED, _VSG, view, _gauge_size(inputs, subject, wide))
         yield Condition(STRAINED, _RESOLUTION, view, _resolution(field))
-        formulation = f"{field.measure}, plane fitted to displacement in the tangent plane, least squares"
-        yield Condition(STRAINED, "strain formulation", view, formulation)
+        yield Condition(STRAINED, "strain formulation", view, f"{field.measure}, {fitted}")
     if not seen:
         for name in ("strain window", _VSG, _RESOLUTION, "strain formulation"):
             yield Condition(STRAINED, name, "", NOT_RECORDED)

@@ -6,13 +6,15 @@ that faces the camera) sees f / cos(slope) of it. That alone would miss steps of
 lower, cut off the sides of a top-hat, whose gradient is that of a step. So the second test asks how far
 two neighbours are from meeting when each side is extended half way by its own slope: at any crease of two
 smooth surfaces that is at most half the difference of the slopes and so never above the larger of them.
+
+The thesis's own tests, by the gradient alone and by the distance of neighbours, can be chosen instead.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, sqrt
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,46 @@ from sms_jobs.metrology.geometry.lens import Intrinsics
 _CREASE = 1.5  # slopes; 1 is the most that a crease can reach, the rest is for curved sides
 _NOISE = 7.2  # sigmas: 4 of the gap's own sqrt(3.25), with slopes over three pixels
 _DIRECTIONS = np.array([[0, 1], [1, 0], [1, 1], [1, -1]])
+
+EdgeTest: TypeAlias = Literal["gap", "gradient", "distance"]
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """How discontinuities of a surface are found.
+
+    Attributes
+    ----------
+    test
+        `gap`: both tests of this module; `gradient`: the first alone; `distance`: `distant_neighbours`.
+    half_width
+        p: slopes are those of lines through up to 2 p + 1 pixels. The test by distance has none.
+    maximum_slope_rad
+        Steepest surface, measured from one that faces the camera, that is still continuous; 1.4 rad is
+        80 degrees, where a pixel already covers six times its footprint.
+    distance
+        In mm: of neighbours that are apart by the test by distance; None for what a pixel covers of the
+        steepest surface.
+    """
+
+    test: EdgeTest = "gap"
+    half_width: int = 2
+    maximum_slope_rad: float = 1.4
+    distance: float | None = None
+
+    def limit(self, footprint: Floats) -> Floats:
+        """Return the gradient, or the distance, in mm that is too large, where pixels have a footprint."""
+        if self.test == "distance" and self.distance is not None:
+            return np.full(footprint.shape, self.distance)
+        return np.asarray(footprint / cos(self.maximum_slope_rad))
+
+    @property
+    def reach(self) -> int:
+        """How many pixels beside a discontinuity are marked, on either side."""
+        return 1 if self.test == "distance" else self.half_width
+
+
+_USUAL = EdgeSettings()
 
 
 @dataclass(frozen=True)
@@ -193,22 +235,42 @@ def _grow(
                         grown[row, column] = labels[r, c]
 
 
+def distant_neighbours(xyz: Floats, valid: Mask, limit: Floats) -> Mask:
+    """Return which pixels have a neighbour along an axis at `limit` or more, thesis Eq. (3.5) and (3.6).
+
+    `xyz` is (3, rows, columns) in mm, `valid` (rows, columns), of which both neighbours must be; `limit` is
+    (rows, columns) in mm, that of the left or upper one. Both of such a pair are marked: the thesis's
+    condition alone, for the right or lower one, would leave regions connected across a diagonal.
+    """
+    apart = np.zeros_like(valid)
+    for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
+        step = xyz[:, *second] - xyz[:, *first]
+        with np.errstate(invalid="ignore"):
+            far = valid[first] & valid[second] & (np.sqrt(np.sum(step**2, axis=0)) >= limit[first])
+        apart[first] |= far
+        apart[second] |= far
+    return apart
+
+
 def find_discontinuities(
     xyz: Floats,
     valid: Mask,
     sigma: Floats,
     footprint: Floats,
     *,
-    half_width: int = 2,
-    maximum_slope_rad: float = 1.4,
+    edges: EdgeSettings = _USUAL,
     threads: int = 1,
 ) -> Mask:
     """Return which valid pixels lie beside a discontinuity; parameters as of `label_regions`."""
-    limit = footprint / cos(maximum_slope_rad)
+    limit = edges.limit(footprint)
+    if edges.test == "distance":
+        return distant_neighbours(xyz, valid, limit)
     with np.errstate(invalid="ignore"):
-        steep = (surface_gradient(xyz, valid, half_width, threads) >= limit).any(axis=0)
+        steep = (surface_gradient(xyz, valid, edges.half_width, threads) >= limit).any(axis=0)
+    if edges.test == "gradient":
+        return np.asarray(steep)
     jump = np.zeros_like(valid)
-    _mark_jumps(xyz, valid, sigma, limit, half_width, _DIRECTIONS, jump)
+    _mark_jumps(xyz, valid, sigma, limit, edges.half_width, _DIRECTIONS, jump)
     return np.asarray(steep | jump)
 
 
@@ -219,8 +281,7 @@ def label_regions(
     footprint: Floats,
     *,
     minimum_area: int,
-    half_width: int = 2,
-    maximum_slope_rad: float = 1.4,
+    edges: EdgeSettings = _USUAL,
     threads: int = 1,
 ) -> ContinuousRegions:
     """Find the continuous pieces of a measured surface.
@@ -237,11 +298,8 @@ def label_regions(
         (rows, columns) in mm, from `pixel_footprint`.
     minimum_area
         Smaller regions are dropped, in px.
-    half_width
-        p of the gradient, thesis section 4.2.2.
-    maximum_slope_rad
-        Steepest surface, measured from one that faces the camera, that is still continuous; 1.4 rad is
-        80 degrees, where a pixel already covers six times its footprint.
+    edges
+        How discontinuities are found.
     threads
         Number of threads; the result does not depend on it.
 
@@ -252,23 +310,15 @@ def label_regions(
     """
     import cv2
 
-    limit = footprint / cos(maximum_slope_rad)
-    apart = find_discontinuities(
-        xyz,
-        valid,
-        sigma,
-        footprint,
-        half_width=half_width,
-        maximum_slope_rad=maximum_slope_rad,
-        threads=threads,
-    )
+    limit = edges.limit(footprint)
+    apart = find_discontinuities(xyz, valid, sigma, footprint, edges=edges, threads=threads)
     _, pieces, table, _ = cv2.connectedComponentsWithStats(
         (valid & ~apart).astype(np.uint8), connectivity=8, ltype=cv2.CV_32S
     )
     large = table[:, cv2.CC_STAT_AREA] >= minimum_area
     large[0] = False
     labels: NDArray[np.int32] = np.where(large[pieces], pieces, 0).astype(np.int32)
-    for _ in range(half_width + 1):
+    for _ in range(edges.reach + 1):
         grown = np.empty_like(labels)
         _grow(xyz, valid, limit, labels, grown)
         labels = grown

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.images.segmentation import label_regions, surface_gradient
+from sms_jobs.metrology.images.segmentation import EdgeSettings, label_regions, surface_gradient
 
 _QUADRATIC = 6  # coefficients
 _RING = 3  # px
@@ -87,7 +87,7 @@ def continuous_labels(
         spread,
         np.full(valid.shape, footprint),
         minimum_area=minimum_area,
-        maximum_slope_rad=maximum_slope_rad,
+        edges=EdgeSettings(maximum_slope_rad=maximum_slope_rad),
         threads=threads,
     ).labels
 

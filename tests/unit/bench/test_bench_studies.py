@@ -53,7 +53,15 @@ def test_a_study_that_cannot_be_written_is_refused_before_it_begins(home: Path, 
 
 
 STORED = Path(__file__).resolve().parents[3] / "docs" / "studies"
-QUICK = ("codes", "glossy-surface", "half-and-half", "large-rotation", "table-6", "two-returns")
+QUICK = (
+    "codes",
+    "discontinuities",
+    "glossy-surface",
+    "half-and-half",
+    "large-rotation",
+    "table-6",
+    "two-returns",
+)
 
 
 @pytest.mark.long  # 60 s

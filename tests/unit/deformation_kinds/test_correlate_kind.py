@@ -106,6 +106,22 @@ def test_without_regions_one_piece_is_matched_as_with_them(plate: Any) -> None:
     assert np.sqrt(np.mean(length[good] ** 2)) < plate.calibration.volume.diagonal_mm / 10_000
 
 
+def test_the_chosen_test_of_discontinuities_parts_regions(plate: Any) -> None:
+    """A pixel sees 1.4 mm: neighbours are farther apart than half of that, and nearer than twice."""
+    parts = {}
+    for distance in (0.7, 2.8):
+        parameters = CorrelateParameters(
+            spacing_px=6, discontinuity="distance", neighbour_distance_mm=distance
+        )
+        records = plate.run(correlate.KIND, plate.subject("S01", VIEW), parameters).records
+        valid = records["displacement"].reason == Reason.VALID
+        parts[distance] = len(records["regions"].regions), int(valid.sum())
+    assert parts[0.7] == (0, 0)
+    usual = plate.run(correlate.KIND, plate.subject("S01", VIEW), CorrelateParameters(spacing_px=6)).records
+    assert parts[2.8][0] == len(usual["regions"].regions) == 1
+    assert parts[2.8][1] > 0.9 * np.count_nonzero(usual["displacement"].reason == Reason.VALID)
+
+
 @pytest.mark.parametrize("reference", ["auto", "previous"])
 def test_a_plate_that_turns_is_followed(turning_plate: Any, reference: Any) -> None:
     """Turned by 18 degrees, no subset is found by looking for shifts; by 9 all are."""
@@ -186,6 +202,19 @@ def test_more_points_near_edges(plate: Any) -> None:
         ({"region_of_interest": ["rectangle 1", "2", "3"]}, "LEFT TOP RIGHT BOTTOM"),
         ({"spacing_px": 8, "edge_spacing_px": 3}, "must divide spacing_px = 8"),
         ({"spacing_px": 16, "edge_spacing_px": 2}, "at least a quarter"),
+        ({"neighbour_distance_mm": 2.0}, "2 means nothing with discontinuity = gap"),
+        (
+            {"neighbour_distance_mm": 2.0, "discontinuity": "gradient"},
+            "nothing with discontinuity = gradient",
+        ),
+        ({"slope_half_width_px": 3, "discontinuity": "distance"}, "slope_half_width_px = 3 means nothing"),
+        (
+            {"neighbour_distance_mm": 2.0, "discontinuity": "distance", "maximum_slope_rad": 1.2},
+            "maximum_slope_rad = 1.2 means nothing beside neighbour_distance_mm = 2",
+        ),
+        ({"regions": "none", "discontinuity": "gradient"}, "mean nothing with regions = none"),
+        ({"slope_half_width_px": 1}, "greater than or equal to 2"),
+        ({"maximum_slope_rad": 1.6}, "less than or equal to 1.55"),
     ],
 )
 def test_what_cannot_be_is_refused(given: dict[str, Any], message: str) -> None:

@@ -169,6 +169,19 @@ def test_strain_is_taken_from_what_is_stored_over_any_gauge(scaled: Test) -> Non
     assert spread[1] < 0.6 * spread[0]
 
 
+def test_strain_is_taken_over_squares_of_pixels_too(scaled: Test) -> None:
+    gradient = np.array([[ALONG, SHEAR], [0.0, ACROSS]])
+    green = 0.5 * (gradient + gradient.T + gradient.T @ gradient)
+    found = scaled.ran(strain.KIND, StrainParameters(method="square", square_px=31)).records["strain"]
+    assert isinstance(found, StrainField)
+    assert (found.unit, found.square_px) == ("mm", 31)
+    assert found.gauge_length == pytest.approx(31 * 0.05)
+    valid = found.reason == Reason.VALID
+    error = found.strain[:, valid] - np.array([green[0, 0], green[1, 1], green[0, 1]])[:, None]
+    # As of discs: y points up here, so that a shear of the wrong sign would be off by six deviations.
+    assert 0.4 < np.sqrt(np.mean((error / found.sigma[:, valid]) ** 2)) < 2.0
+
+
 def test_the_spatial_resolution_is_stated_and_found_by(scaled: Test) -> None:
     moved = displacement_of(scaled)
     valid = moved.reason == Reason.VALID

@@ -57,6 +57,50 @@ def test_the_resolution_on_a_surface_is_that_in_the_image_times_what_a_pixel_cov
     np.testing.assert_array_equal(np.isfinite(found.resolution), found.reason == Reason.VALID)
 
 
+def test_the_thesiss_squares_find_the_strain_too(plate: Any) -> None:
+    """A plate is 40 px wide: squares of 15 px see what is left of subsets of 21 px."""
+    subject = plate.subject("S01", VIEW)
+    for measure in ("green-lagrange", "small"):
+        parameters = StrainParameters(method="square", square_px=15, measure=measure)
+        output = plate.run(strain.KIND, subject, parameters)
+        field = output.records["strain"]
+        known = field.reason == Reason.VALID
+        error = (field.strain - plate.truth(VIEW).strain(measure))[:, known]
+        assert known.mean() > 0.3
+        # As of the disc.
+        assert np.abs(error.mean(axis=1)).max() < 5e-4
+        ratio = np.sqrt(np.mean((error / field.sigma[:, known]) ** 2, axis=1))
+        assert ratio.min() > 0.6
+        assert ratio.max() < 1.45
+        for values in (field.strain, field.sigma, field.bias, field.principal, field.resolution[None]):
+            np.testing.assert_array_equal(np.isfinite(values).all(axis=0), known)
+    moved = plate.results["correlate", subject]["displacement"]
+    lost = (moved.reason == Reason.VALID) & ~known
+    assert (field.reason[lost] == Reason.TOO_FEW_NEIGHBOURS).all()
+    position = plate.results["reconstruct", plate.subject("S00", VIEW)]["surface"].position
+    steps = np.concatenate([np.linalg.norm(np.diff(position, axis=a), axis=0).ravel() for a in (1, 2)])
+    assert field.square_px == 15
+    assert field.gauge_length == pytest.approx(15.0 * np.nanmedian(steps), rel=0.02)
+    assert plate.results["strain", subject]["strain"].square_px is None
+    # Lines across a wave leave 90 % of it from four sides on: sin(z) / z = 0.9 at z = 0.79.
+    assert np.nanmedian(field.resolution) > 3.9 * field.gauge_length
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"square_px": 9}, "square_px = 9 means nothing with method = disc"),
+        ({"method": "square", "gauge_length_mm": 20.0}, "gauge_length_mm = 20 is of discs"),
+        ({"method": "square", "gauge_length_px": 60.0}, "gauge_length_px = 60 is of discs"),
+        ({"method": "square", "square_px": 8}, "no pixel in the middle; choose 9"),
+        ({"method": "square", "square_px": 1}, "greater than or equal to 3"),
+    ],
+)
+def test_a_gauge_that_cannot_be_is_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        StrainParameters.model_validate(given)
+
+
 def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
     sigma = [
         plate.run(strain.KIND, plate.subject("S01", VIEW), StrainParameters(gauge_length_mm=g)).statistics[

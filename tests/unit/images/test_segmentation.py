@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi, tan
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.images.segmentation import (
     ContinuousRegions,
+    EdgeSettings,
+    distant_neighbours,
     find_discontinuities,
     label_regions,
     pixel_footprint,
@@ -34,9 +37,22 @@ def surface(height: Floats, rng: np.random.Generator | None = None) -> Floats:
     return xyz if rng is None else xyz + rng.normal(scale=NOISE, size=xyz.shape)
 
 
-def segment(xyz: Floats, valid: Mask = ALL, minimum_area: int = 20, threads: int = 1) -> ContinuousRegions:
+def segment(
+    xyz: Floats,
+    valid: Mask = ALL,
+    minimum_area: int = 20,
+    threads: int = 1,
+    edges: EdgeSettings = EdgeSettings(),  # noqa: B008
+) -> ContinuousRegions:
     sigma, footprint = np.full(valid.shape, NOISE), np.full(valid.shape, PIXEL)
-    return label_regions(xyz, valid, sigma, footprint, minimum_area=minimum_area, threads=threads)
+    return label_regions(
+        xyz, valid, sigma, footprint, minimum_area=minimum_area, edges=edges, threads=threads
+    )
+
+
+def marked(xyz: Floats, edges: EdgeSettings, valid: Mask = ALL) -> Mask:
+    sigma, footprint = np.full(valid.shape, NOISE), np.full(valid.shape, PIXEL)
+    return find_discontinuities(xyz, valid, sigma, footprint, edges=edges)
 
 
 def test_gradients_are_the_least_squares_slopes(rng: np.random.Generator) -> None:
@@ -62,6 +78,56 @@ def test_an_invalid_pixel_has_no_gradient() -> None:
     gradient = surface_gradient(surface(np.zeros_like(X)), valid)
     assert np.isnan(gradient[:, 5, 7]).all()
     assert np.isnan(gradient).sum() == 2
+
+
+def test_distant_neighbours_are_those_of_the_thesis(rng: np.random.Generator) -> None:
+    xyz, valid = surface(rng.normal(size=X.shape)), rng.random(X.shape) > 0.2
+    found, expected = distant_neighbours(xyz, valid, np.full(X.shape, 1.3)), np.zeros_like(valid)
+    for row in range(ROWS):
+        for column in range(COLUMNS):
+            for r, c in ((row, column + 1), (row + 1, column)):
+                if r < ROWS and c < COLUMNS and valid[row, column] and valid[r, c]:
+                    far = np.linalg.norm(xyz[:, r, c] - xyz[:, row, column]) >= 1.3
+                    expected[row, column] |= far
+                    expected[r, c] |= far
+    np.testing.assert_array_equal(found, expected)
+    assert 0.1 < found.mean() < 0.9
+
+
+@pytest.mark.parametrize("p", [2, 4])
+def test_of_a_step_a_slope_sees_less_the_longer_it_is_and_a_distance_all(p: int) -> None:
+    # Of a step of 1 a line through 2 p + 1 pixels beside it has the slope 1.5 / (2 p + 1): sum of 1 .. p over
+    # that of k^2. 0.3 for p = 2. The limit at 60 degrees is two footprints, of which one is across.
+    limit = np.sqrt(3.0) * PIXEL
+    slope = EdgeSettings("gradient", p, pi / 3)
+    for part, is_found in ((0.99, False), (1.01, True)):
+        height = np.where(X > 31, part * limit * (2 * p + 1) / 1.5, 0.0)
+        assert marked(surface(height), slope)[:, 31:33].all() == is_found
+        assert marked(surface(height), slope).any() == is_found
+        height = np.where(X > 31, part * limit, 0.0)
+        by_distance = marked(surface(height), EdgeSettings("distance", maximum_slope_rad=pi / 3))
+        np.testing.assert_array_equal(by_distance, is_found & ((X == 31) | (X == 32)))
+        # The same distance in mm.
+        in_mm = marked(surface(height), EdgeSettings("distance", distance=2.0 * PIXEL))
+        np.testing.assert_array_equal(in_mm, by_distance)
+
+
+def test_a_slope_steeper_than_the_limit_is_no_region() -> None:
+    steep = surface(X * PIXEL * tan(0.9))
+    for test in ("gap", "gradient", "distance"):
+        assert (segment(steep, edges=EdgeSettings(test, maximum_slope_rad=0.91)).labels == 1).all()
+        assert not segment(steep, edges=EdgeSettings(test, maximum_slope_rad=0.89)).labels.any()
+
+
+@pytest.mark.parametrize("test", ["gradient", "distance"])
+def test_the_thesiss_tests_part_a_high_step_at_its_edge_too(
+    test: Literal["gradient", "distance"], rng: np.random.Generator
+) -> None:
+    for angle in (0.0, 0.3, pi / 4, pi / 2):
+        high = (X - 31.3) * np.cos(angle) + (Y - 23.4) * np.sin(angle) > 0.0
+        labels = segment(surface(np.where(high, 30.0 * PIXEL, 0.0), rng), edges=EdgeSettings(test)).labels
+        assert {*labels[high]} | {*labels[~high]} == {1, 2}
+        assert len({*labels[high]}) == len({*labels[~high]}) == 1
 
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 63.4, 75.0])

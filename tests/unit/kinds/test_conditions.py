@@ -67,6 +67,15 @@ def test_the_noise_floor_is_that_of_a_still_pair(tmp_path: Path) -> None:
     assert {(one["name"], one["about"]): one["value"] for one in told} == rows
 
 
+def test_a_square_of_pixels_is_told_as_one(tmp_path: Path) -> None:
+    given = noisy(0.0, 2e-3)
+    given["strain"] = replace(given["strain"], square_px=7, gauge_length=3.5)
+    ((_, table), _) = run_on_results(tmp_path, conditions.KIND, still(), Subject("plate"), instead=given)
+    rows = rows_of(table)
+    assert rows["strain window", "C1P1"] == "square of 7 x 7 px (3.5 mm) over every pixel"
+    assert rows["strain formulation", "C1P1"].startswith("small, lines fitted to displacement along rows")
+
+
 def test_the_spatial_resolution_is_told_in_the_image_and_on_the_surface(tmp_path: Path) -> None:
     given = noisy(0.0, 2e-3)
     known = {"resolution_px": 50.84, "resolution": np.full(SIZE, 254.2, np.float32)}

@@ -6,6 +6,7 @@ linear where a wave is small beside a speckle; what it leaves of a wave along th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,6 +112,15 @@ def left_by_gauge(periods: Floats) -> Floats:
     return np.where(z > 0.01, 8.0 * special.jv(2, z) / np.maximum(z, 0.01) ** 2, 1.0)
 
 
+def left_by_square(periods: Floats) -> Floats:
+    """Return what is left of strain that is a wave (k,) over squares of pixels, of periods in sides.
+
+    Across a wave lines are averaged, which leaves sin(z) / z of it with z = pi side / period; lines along it
+    leave more, 3 (sin(z) - z cos(z)) / z^3.
+    """
+    return np.asarray(np.sinc(1.0 / periods))
+
+
 def resolution_of(periods: Floats, left: Floats) -> float:
     """Return the longest period at which `KEPT` of the amplitude is left; NaN where more is taken of all.
 
@@ -129,8 +139,12 @@ def resolution_of(periods: Floats, left: Floats) -> float:
     return float(periods[last] + part * (periods[last + 1] - periods[last]))
 
 
-def strain_resolution(displacement: NDArray[np.floating], gauge_length: float) -> Floats:
-    """Return the spatial resolution of strain over gauge discs, of displacement that has one of its own.
+def strain_resolution(
+    displacement: NDArray[np.floating],
+    gauge_length: float,
+    left: Callable[[Floats], Floats] = left_by_gauge,
+) -> Floats:
+    """Return the spatial resolution of strain over gauges, of displacement that has one of its own.
 
     Parameters
     ----------
@@ -138,6 +152,8 @@ def strain_resolution(displacement: NDArray[np.floating], gauge_length: float) -
         (...), the resolution of displacement, in any unit of length; NaN for none.
     gauge_length
         In the same unit.
+    left
+        What gauges leave of waves of strain, of periods (k,) in gauge lengths.
 
     Notes
     -----
@@ -146,7 +162,7 @@ def strain_resolution(displacement: NDArray[np.floating], gauge_length: float) -
     """
     periods = np.geomspace(0.5, 50.0, 400)
     ratio = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 200)])
-    gauge = left_by_gauge(periods)
+    gauge = left(periods)
     table = [
         resolution_of(periods, gauge * (1.0 - (1.0 - KEPT) * (one / periods) ** _FALLS_WITH)) for one in ratio
     ]

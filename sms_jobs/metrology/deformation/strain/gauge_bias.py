@@ -274,7 +274,15 @@ def spread_over_pixels(variance: Floats, samples: Samples, labels: Labels, threa
     return spread
 
 
-def gauge_bias(samples: Samples, radius: float, reach: int, least_cosine: float, threads: int = 1) -> Floats:
+def gauge_bias(
+    samples: Samples,
+    radius: float,
+    reach: int,
+    least_cosine: float,
+    threads: int = 1,
+    *,
+    part_by_noise: float = PART_BY_NOISE,
+) -> Floats:
     """Return the variance of strain that bends within its gauge disc, (3, rows, columns) at samples.
 
     Parameters
@@ -289,6 +297,8 @@ def gauge_bias(samples: Samples, radius: float, reach: int, least_cosine: float,
         Between normals in a disc, as of `surface_strain`; -1 for no limit.
     threads
         How many threads to use; the result does not depend on it.
+    part_by_noise
+        As of `PART_BY_NOISE`, of a gauge that is no disc of that radius.
 
     Notes
     -----
@@ -330,7 +340,7 @@ def gauge_bias(samples: Samples, radius: float, reach: int, least_cosine: float,
 
     in_row_blocks(take, len(labels), threads)
     parts = np.moveaxis(mean[..., 3:], -1, 0).reshape(len(every), _STATISTICS, *shape)
-    bends = _no_chance(parts[0], PART_BY_NOISE, _SURE)
+    bends = _no_chance(parts[0], part_by_noise, _SURE)
     # A whole disc has an rms radius of 1 / sqrt(2) of its radius, and so has half of one about its centre.
     aside = np.hypot(offset[..., 0], offset[..., 1]) / (np.sqrt(2.0) * extent)
     noise = _OF_EDGE * aside**2 * variance

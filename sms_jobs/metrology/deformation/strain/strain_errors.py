@@ -15,6 +15,24 @@ _OF_STRAIN = 0.5  # part of a bias that has the shape of a strain over a gauge d
 
 
 @dataclass(frozen=True)
+class Window:
+    """What a gauge sees of errors: over how many pixels, and what of filtered noise, over white noise.
+
+    Attributes
+    ----------
+    pixels
+        That it has.
+    of_shape, of_match
+        Variance of its slopes by white noise through the filter of shape, and through subsets, over that by
+        white noise itself.
+    """
+
+    pixels: float
+    of_shape: float
+    of_match: float
+
+
+@dataclass(frozen=True)
 class SharedErrors:
     """Errors of displacement that go together over neighbouring pixels, as a gauge disc sees them.
 
@@ -28,7 +46,7 @@ class SharedErrors:
     averaging_radius_px, subset_radius_px
         Distances over which errors of shape and of match go together; 0 for none.
     disc_radius_px
-        Of the gauge disc.
+        Of the gauge disc, or of the disc whose points scatter as those of the gauge.
     """
 
     own: Floats
@@ -64,6 +82,7 @@ def shared_errors(
     averaging_radius_px: float,
     subset_radius_px: float,
     disc_radius_px: float,
+    window: Window | None = None,
 ) -> SharedErrors:
     """Return the errors of a displacement as they disturb strain over a gauge disc.
 
@@ -76,7 +95,9 @@ def shared_errors(
     averaging_radius_px, subset_radius_px
         Distances over which the displacement's errors of shape and of match go together; 0 for none.
     disc_radius_px
-        Of the gauge disc.
+        Of the gauge disc, or of the disc whose points scatter as those of the gauge.
+    window
+        What the gauge sees, if it is no disc.
 
     Notes
     -----
@@ -90,6 +111,12 @@ def shared_errors(
     pixel, if it has the shape that strain has, and half of that is counted.
     """
     lengths = (averaging_radius_px, subset_radius_px, disc_radius_px)
+    if window is None:
+        window = Window(
+            np.pi * disc_radius_px**2,
+            seen_of_shape(averaging_radius_px / disc_radius_px),
+            seen_of_match(subset_radius_px / disc_radius_px),
+        )
     if bias is not None:
         noise = shared_errors(
             covariance - bias,
@@ -97,8 +124,9 @@ def shared_errors(
             averaging_radius_px=averaging_radius_px,
             subset_radius_px=subset_radius_px,
             disc_radius_px=disc_radius_px,
+            window=window,
         )
-        own = noise.own + _OF_STRAIN * np.pi * disc_radius_px**2 * bias
+        own = noise.own + _OF_STRAIN * window.pixels * bias
         return SharedErrors(own, noise.match, *lengths)
     if averaging_radius_px == 0.0 and subset_radius_px == 0.0:
         return SharedErrors(np.asarray(covariance, dtype=np.float64), np.zeros(6), *lengths)
@@ -108,10 +136,8 @@ def shared_errors(
     finite = np.isfinite(excess).all(axis=0)
     match = _positive(np.median(excess[:, finite], axis=1)) if finite.any() else np.zeros(6)
     match *= (2.0 * subset_radius_px + 1.0) ** 2 / 1.39
-    own = np.where(
-        np.isfinite(covariance), seen_of_shape(averaging_radius_px / disc_radius_px) * shape, np.nan
-    )
-    return SharedErrors(own, seen_of_match(subset_radius_px / disc_radius_px) * match, *lengths)
+    own = np.where(np.isfinite(covariance), window.of_shape * shape, np.nan)
+    return SharedErrors(own, window.of_match * match, *lengths)
 
 
 def seen_of_shape(q: float) -> float:
