@@ -24,6 +24,7 @@ def show(campaign: str, done: DryRun, as_json: bool) -> None:
                 "archive_room": done.archive_room,
                 "missing": done.missing,
                 "remarks": done.remarks,
+                "ways": done.ways,
             }
         )
         return
@@ -55,6 +56,8 @@ def show(campaign: str, done: DryRun, as_json: bool) -> None:
                 "spool": f"{size(done.spool_bytes)} a state, free {size(done.spool_room)}",
             }
         )
+    for projector, words in done.ways.items():
+        output.say(f"{projector}: {words}")
     for words in done.remarks:
         output.say(words)
     for words in done.missing:

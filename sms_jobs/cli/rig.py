@@ -98,13 +98,16 @@ def check(rig: Rig, home: Home = None, as_json: Json = False) -> None:
         checked = rigs.check(services, rig)
     described, check = checked.rig, checked.check
     sensors = {name: check.sensors.get(name, _SIMULATED) for name in described.sensors}
+    cameras = [camera.name for camera in described.cameras]
+    ways = {p.name: described.way(p.name, cameras, (1.0,)) for p in described.projectors}
     if as_json:
         pan, tilt = check.stage_rad or (None, None)
         stage = None if check.homed is None else {"pan_rad": pan, "tilt_rad": tilt, "homed": check.homed}
         facts = {"sensors": sensors, "views": check.views, "channels": check.channels, "stage": stage}
+        facts["ways"] = ways
         output.print_json({"rig": rig, **facts})
         return
-    rows = list(sensors.items())
+    rows = [*sensors.items(), *ways.items()]
     for name, levels in check.views.items():
         seen = ", ".join(f"{what} {level:.1f}" for what, level in levels.items())
         rows.append((name, f"sees on average {seen} of {check.full_scales[name]}"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 from sms_jobs.instruments.clock import Clock
@@ -20,7 +20,12 @@ from sms_jobs.instruments.protocols import (
     Video,
     recorded_value,
 )
+from sms_jobs.records.bursts import Burst
 from sms_jobs.records.scene import Simulation
+
+
+def _stepped(projector: str, cameras: Collection[str], frames: int, exposure: float) -> None:
+    """Have every pattern shown by a command."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,8 @@ class ConnectedRig:
         What each sensor said of itself when it was connected, by name.
     lamp
         What lights a specimen that is recorded without a projector.
+    burst
+        How a projector plays so many patterns to some cameras with an exposure, see `RigFile.burst`.
     """
 
     name: str
@@ -62,6 +69,7 @@ class ConnectedRig:
     simulation: Callable[[str], Simulation] | None = None
     described: Mapping[str, str] = field(default_factory=dict)
     lamp: Lamp = field(default_factory=StandingLamp)
+    burst: Callable[[str, Collection[str], int, float], Burst | None] = _stepped
 
     def fire(self, cameras: Mapping[str, Camera]) -> Mapping[str, Fired]:
         """Expose some cameras together, and return by name when that was."""

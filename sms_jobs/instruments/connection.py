@@ -96,6 +96,7 @@ def connected(
             room.simulation if room is not None and (rig.simulated or _simulated_there(cameras)) else None,
             {name: sensor.describe() for name, sensor in (*cameras.items(), *projectors.items())},
             lamp,
+            rig.burst,
         )
 
 

@@ -7,89 +7,31 @@ and is here: setting up, triggering, exposing, counting, unpacking.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeAlias
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import DeviceFault, FrameLost, InvalidInput
+from sms_jobs.errors import DeviceFault, FrameLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.codecs.pixel_formats import BITS, unpacked
+from sms_jobs.instruments.genicam_settings import ACQUISITION, SOFTWARE, GenicamSettings
 from sms_jobs.instruments.protocols import CameraFacts, Frame
-from sms_jobs.instruments.real_cameras import RealCamera, checked_image
+from sms_jobs.instruments.real_cameras import checked_image
+from sms_jobs.records.bursts import Burst
 
 logger = logging.getLogger(__name__)
 
 Value: TypeAlias = bool | int | float | str
-SOFTWARE, ACQUISITION = "software", "acquisition"
 _MOST_UNASKED = 100
 """Frames that are thrown away at once: noise on a line must not hold a recording up for ever."""
+_BUFFERS = 4
+_SPARE_BUFFERS = 2
+"""Of a burst, for frames that nobody expects."""
 _LAST_NUMBER = 65535
 """After which GigE Vision counts from 1 again."""
-
-PixelFormat: TypeAlias = Literal[
-    "Mono8",
-    "Mono10",
-    "Mono12",
-    "Mono14",
-    "Mono16",
-    "Mono10p",
-    "Mono12p",
-    "Mono10Packed",
-    "Mono12Packed",
-]
-
-
-@dataclass(frozen=True)
-class GenicamSettings(RealCamera):
-    """What is set in any GenICam camera.
-
-    Attributes
-    ----------
-    device
-        Which camera: its serial number or identifier.
-    pixel_format
-        Of the images it sends.
-    exposure_ms
-        At the exposure 1 of a sequence; 0 for a camera that has no such feature.
-    gain
-        In the camera's unit; None leaves it as it is.
-    offset_x, offset_y
-        Of the region of interest on its sensor, in pixels.
-    trigger
-        "software", the name of the line that a trigger controller is wired to, such as "Line1", or
-        "acquisition" for a camera that cannot be triggered: then every frame is the first of an acquisition.
-    features
-        What else is set when it is connected, by standard names and before everything else.
-    """
-
-    device: str
-    pixel_format: PixelFormat
-    exposure_ms: float = 0.0
-    gain: float | None = None
-    offset_x: int = 0
-    offset_y: int = 0
-    trigger: str = SOFTWARE
-    features: Mapping[str, bool | int | float | str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.0 <= self.exposure_ms <= 60e3:
-            raise InvalidInput(
-                f"camera {self.name} is to expose for {self.exposure_ms} ms: from 0 to 60000 ms are possible"
-            )
-        if min(self.offset_x, self.offset_y) < 0 or not self.trigger or not self.device:
-            raise InvalidInput(
-                f"camera {self.name} needs offsets of 0 or more, a trigger and a device, not "
-                f"{self.offset_x}, {self.offset_y}, '{self.trigger}' and '{self.device}'"
-            )
-
-    @property
-    def wired(self) -> bool:
-        """Whether it is exposed through a wire from a trigger controller."""
-        return self.trigger not in (SOFTWARE, ACQUISITION)
 
 
 class Features(Protocol):
@@ -141,8 +83,8 @@ class Delivered:
 class Stream(Protocol):
     """Frames of a camera. All methods raise `LinkLost` or `DeviceFault`."""
 
-    def start(self) -> None:
-        """Begin an acquisition; nothing of one before is left."""
+    def start(self, buffers: int) -> None:
+        """Begin an acquisition with room for so many frames; nothing of one before is left."""
         ...
 
     def stop(self) -> None:
@@ -175,6 +117,7 @@ class GenicamCamera:
         self._stream = stream
         self._clock = clock
         self._streaming = False
+        self._bursting = False
         self._last: int | None = None
         """Number of the last frame by the camera's count of this acquisition."""
         self._number = 0
@@ -200,6 +143,8 @@ class GenicamCamera:
         if settings.exposure_ms:
             words.append(f"exposed for {settings.exposure_ms:g} ms")
         words.append(f"triggered by {settings.trigger}")
+        if settings.pulse_line:
+            words.append(f"by pulses on {settings.pulse_line}")
         return ", ".join(words)
 
     def arm(self, exposure: float) -> None:
@@ -210,11 +155,28 @@ class GenicamCamera:
         DeviceFault
             When the camera cannot expose so long, or its settings give no exposure of its own.
         """
-        self._halt()
-        self._clocks_apart_s = None  # clocks drift
-        self._expose(exposure)
+        self._ready(exposure)
         if self._settings.trigger != ACQUISITION:
+            self._set("TriggerSource", self._source)
             self._begin()
+
+    def arm_burst(self, burst: Burst) -> None:
+        """Make ready to be exposed by every pulse on its line, with a buffer for each frame.
+
+        The acquisition stays continuous: one of so many frames would not tell of a pulse too many.
+        """
+        self._ready(burst.exposure)
+        self._set("TriggerSource", self._settings.pulse_line)
+        self._bursting = True
+        self._begin(burst.frames + _SPARE_BUFFERS)
+
+    def left_over(self, timeout_s: float) -> int:
+        """Return how many frames were not read, and forget them; wait for one where there is none."""
+        left: list[int] = []
+        for _ in range(_MOST_UNASKED):
+            if not self._stream.take(0.0 if left else timeout_s, lambda one: left.append(one.number)):
+                break
+        return len(left)
 
     def trigger(self) -> None:
         """Take a frame, or make ready for the wire; what came without being asked for is thrown away."""
@@ -249,7 +211,7 @@ class GenicamCamera:
         if self._settings.trigger == ACQUISITION:
             self._halt()
         if not frames:
-            if self._streaming:
+            if self._streaming and not self._bursting:
                 self._halt()
                 self._begin()
             raise FrameLost(problem)
@@ -265,24 +227,25 @@ class GenicamCamera:
 
     def _forget(self) -> None:
         """Throw away frames that nobody asked for; the numbers of those that follow tell of them."""
-        if not self._streaming:
-            return
-        unasked: list[int] = []
-        for _ in range(_MOST_UNASKED):
-            if not self._stream.take(0.0, lambda delivered: unasked.append(delivered.number)):
-                break
+        unasked = self.left_over(0.0) if self._streaming else 0
         if unasked:
             logger.warning(
                 "camera %s delivered %d frames without being triggered: look for noise on its line",
-                *(self._settings.name, len(unasked)),
+                *(self._settings.name, unasked),
             )
 
-    def _begin(self) -> None:
+    def _ready(self, exposure: float) -> None:
+        self._halt()
+        self._clocks_apart_s = None  # clocks drift
+        self._expose(exposure)
+
+    def _begin(self, buffers: int = _BUFFERS) -> None:
         self._last = None
-        self._stream.start()
+        self._stream.start(buffers)
         self._streaming = True
 
     def _halt(self) -> None:
+        self._bursting = False
         if self._streaming:
             self._streaming = False
             self._stream.stop()
@@ -298,13 +261,18 @@ class GenicamCamera:
         """Return when a frame was exposed, by the clock of the rig.
 
         The clocks are as far apart as the frame that took the shortest way says: others were only under way
-        for longer.
+        for longer. In a burst the first frame says it, so that the times between frames are the camera's own.
         """
         now = self._clock.monotonic()
         if delivered.time_s is None:
+            if self._bursting:
+                raise DeviceFault(
+                    f"camera {self._settings.name} tells no times of its frames, by which a burst is "
+                    "checked: take it out of `pulses` in the rig file"
+                )
             return now
         apart = now - delivered.time_s
-        if self._clocks_apart_s is None or apart < self._clocks_apart_s:
+        if self._clocks_apart_s is None or (apart < self._clocks_apart_s and not self._bursting):
             self._clocks_apart_s = apart
         return delivered.time_s + self._clocks_apart_s
 
@@ -338,7 +306,13 @@ class GenicamCamera:
             )
         self._set_if_there("TriggerSelector", "FrameStart")
         self._set("TriggerMode", "On")
-        self._set("TriggerSource", "Software" if settings.trigger == SOFTWARE else settings.trigger)
+        if settings.pulse_line:
+            self._set("TriggerSource", settings.pulse_line)  # refused now rather than while a load is held
+        self._set("TriggerSource", self._source)
+
+    @property
+    def _source(self) -> str:
+        return "Software" if self._settings.trigger == SOFTWARE else self._settings.trigger
 
     def _expose(self, exposure: float) -> None:
         name, own_ms = self._settings.name, self._settings.exposure_ms

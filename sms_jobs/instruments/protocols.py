@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.devices.device import Status
 from sms_jobs.metrology.geometry.stage_poses import StagePose
+from sms_jobs.records.bursts import Burst
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.operations import Reading
 from sms_jobs.records.units import in_unit_of_name
@@ -126,6 +127,22 @@ class Camera(Protocol):
         ...
 
 
+@runtime_checkable
+class BurstCamera(Camera, Protocol):
+    """A camera that a projector's pulses expose by wire; `read` gives its frames, `disarm` ends it."""
+
+    def arm_burst(self, burst: Burst) -> None:
+        """Make ready to be exposed by every pulse that comes, and to keep a frame for each.
+
+        Raises `DeviceFault` when the camera cannot expose so long.
+        """
+        ...
+
+    def left_over(self, timeout_s: float) -> int:
+        """Return how many frames were not read, and forget them; wait for one where there is none."""
+        ...
+
+
 class Projector(Protocol):
     """A projector that shows one pattern after the other."""
 
@@ -146,6 +163,19 @@ class Projector(Protocol):
 
     def dark(self) -> None:
         """Show nothing, whatever state it is in."""
+        ...
+
+
+@runtime_checkable
+class SequencedProjector(Projector, Protocol):
+    """A projector that plays the patterns of its sequence by itself; `dark` stops it."""
+
+    def play(self, burst: Burst) -> None:
+        """Begin to show every pattern of the sequence once, with a pulse at the beginning of each."""
+        ...
+
+    def wait(self) -> None:
+        """Return when it has played to the end; raise `FrameLost` when it stopped before."""
         ...
 
 

@@ -14,10 +14,9 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from sms_jobs.errors import InstrumentError, InvalidInput, StorageFull
 from sms_jobs.instruments.connected_rig import ConnectedRig
+from sms_jobs.instruments.frame_memory import image_bytes, require_memory
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import (
     finished_sets,
@@ -60,7 +59,8 @@ def record_state(
     Raises
     ------
     InvalidInput
-        When the rig does not have a sensor of a view, or a channel that has to be read.
+        When the rig does not have a sensor of a view, or a channel that has to be read, or a burst does not
+        fit into memory.
     InstrumentError
         When an instrument gives up; complete frames stay in the spool.
     StorageFull
@@ -77,10 +77,11 @@ def record_state(
     # Images that are to show one state are recorded at one time, whichever of them was lost.
     sets: list[RecordedSet] = [
         FringeSet(rig, cameras, sequence, texture_exposure, spool, limits, projector=projector)
-        for projector, cameras in _by_projector(missing).items()
+        for projector, cameras in by_projector(missing).items()
     ]
     if any(view in missing for view in lamplit):
         sets.append(LampSet(rig, tuple(lamplit), sequence, texture_exposure, spool, limits))
+    _require_memory(rig, sets)
     with ExitStack() as stack:
         stack.callback(quietly, rig.lamp.off)
         for projector in rig.projectors.values():
@@ -119,7 +120,7 @@ def _require_sensors(rig: ConnectedRig, views: Sequence[str]) -> None:
                 )
 
 
-def _by_projector(views: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def by_projector(views: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the cameras of each projector, both in the order of the views."""
     found: dict[str, tuple[str, ...]] = {}
     for view in map(view_of, views):
@@ -132,14 +133,21 @@ def _require_room(rig: ConnectedRig, views: Sequence[str], sequence: FringeSeque
     """Raise `StorageFull` when some views have no room, before a load is held for them."""
     needed = 0
     for view in views:
-        facts = rig.cameras[view_of(view).camera].facts
-        needed += frames_of(view, sequence) * facts.rows * facts.columns * np.dtype(facts.dtype).itemsize
+        needed += frames_of(view, sequence) * image_bytes(rig.cameras[view_of(view).camera].facts)
     free = shutil.disk_usage(spool).free
     if needed > free:
         raise StorageFull(
             f"the disk of the spool, {spool}, has {free / 1e6:.0f} MB left, and the frames of this state "
             f"need {needed / 1e6:.0f} MB; free some space"
         )
+
+
+def _require_memory(rig: ConnectedRig, sets: Sequence[RecordedSet]) -> None:
+    """Raise `InvalidInput` when a burst does not fit into memory, before a load is held for it."""
+    for one in sets:
+        if isinstance(one, FringeSet) and (burst := one.burst(1.0)) is not None:
+            bytes_each = {name: image_bytes(rig.cameras[name].facts) for name in one.cameras}
+            require_memory(burst.frames, bytes_each, "remove `pulses` of the projector from the rig file")
 
 
 def quietly(what: Callable[[], None]) -> None:

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import DeviceFault, FrameLost, InstrumentError
+from sms_jobs.instruments.bursts import Players, Seen, played
 from sms_jobs.instruments.connected_rig import ConnectedRig
 from sms_jobs.instruments.judging import Limits, drifted, far_apart, judged, judged_image, wanting
 from sms_jobs.instruments.kept_sets import (
@@ -30,15 +31,25 @@ from sms_jobs.instruments.kept_sets import (
     keep_dimming,
     new_path,
 )
-from sms_jobs.instruments.protocols import CameraFacts, Fired, Frame, apart_s
+from sms_jobs.instruments.protocols import (
+    BurstCamera,
+    CameraFacts,
+    Fired,
+    Frame,
+    SequencedProjector,
+    apart_s,
+)
 from sms_jobs.instruments.spool import Spooled, SpoolHeader
+from sms_jobs.records.bursts import Burst
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.recording import Verdict
 from sms_jobs.records.units import unit_of_name
 
 FRAME_TIMEOUT_S = 5.0
 _TRIES = 3
-"""How often a pattern is projected before a camera that misses it is given up."""
+"""How often a pattern, or a burst of them, is projected before a camera that misses it is given up."""
+
+Taken = TypeVar("Taken")
 
 logger = logging.getLogger(__name__)
 
@@ -158,27 +169,35 @@ class RecordedSet(ABC):
         self, show: Callable[[], None], writers: Mapping[str, SetWriter], zero: float, looked_at: bool
     ) -> None:
         """Show a pattern and keep what every camera sees of it."""
-        for camera, frame in self._seen(show).items():
+        self._keep(self._seen(show), writers, zero, looked_at)
+
+    def _keep(self, seen: Seen, writers: Mapping[str, SetWriter], zero: float, looked_at: bool) -> None:
+        for camera, frame in seen.items():
             writers[camera].append(frame.number, frame.time_s - zero, frame.image, looked_at)
 
-    def _seen(self, show: Callable[[], None]) -> dict[str, Frame]:
+    def _seen(self, show: Callable[[], None]) -> Seen:
         """Show a pattern and return what every camera sees of it; show it again when one misses it."""
-        for _ in range(1, _TRIES):
+
+        def take() -> Seen:
             show()
+            return self._frames()
+
+        return self._repeated(take, 1, "check the camera's link")
+
+    def _repeated(self, take: Callable[[], Taken], patterns: int, advice: str) -> Taken:
+        """Take what is to be seen of some patterns, and all of it again when a camera misses some."""
+        for _ in range(1, _TRIES):
             try:
-                return self._frames()
+                return take()
             except FrameLost as error:
                 logger.warning("%s; it is taken again", error)
-                self._retaken += 1
-        show()
+                self._retaken += patterns
         try:
-            return self._frames()
+            return take()
         except FrameLost as error:
-            raise InstrumentError(
-                f"{error}, {_TRIES} times one after the other; check the camera's link"
-            ) from error
+            raise InstrumentError(f"{error}, {_TRIES} times one after the other; {advice}") from error
 
-    def _frames(self) -> dict[str, Frame]:
+    def _frames(self) -> Seen:
         """Trigger all cameras and return what they deliver; raise `FrameLost` when one delivers nothing."""
         cameras = {name: self.rig.cameras[name] for name in self.cameras}
         fired = self.rig.fire(cameras)
@@ -235,14 +254,15 @@ class FringeSet(RecordedSet):
         frames = [np.empty((sequence.frames, one.rows, one.columns), one.dtype) for one in facts]
         self.prepare()
         done = 0
+
+        def told(number: int) -> None:
+            progress(0.0, f"pre-exposing {self.projector}: frame {number} of {sequence.frames}")
+
         for exposure in sequence.exposures:
-            self._arm(exposure)
-            for pattern in range(sequence.frames_per_exposure):
-                seen = self._seen(partial(rig.projectors[self.projector].show, pattern))
+            for seen in self._patterns(exposure, done, told):
                 for stack, frame in zip(frames, seen.values(), strict=True):
                     stack[done] = frame.image
                 done += 1
-                progress(0.0, f"pre-exposing {self.projector}: frame {done} of {sequence.frames}")
         rig.projectors[self.projector].dark()
         return [
             Measurement(
@@ -277,16 +297,57 @@ class FringeSet(RecordedSet):
         """Take exposure by exposure, pattern by pattern, white at last."""
         projector, sequence = self.rig.projectors[self.projector], self.sequence
         done, total = 0, sequence.frames + 1
+
+        def told(number: int) -> None:
+            progress(number / total, f"recording {self.projector}: frame {number} of {total}")
+
         for exposure in sequence.exposures:
-            self._arm(exposure)
             looked_at = exposure == min(sequence.exposures)  # the others may saturate
-            for pattern in range(sequence.frames_per_exposure):
-                self._take(partial(projector.show, pattern), writers, zero, looked_at)
+            for seen in self._patterns(exposure, done, told):
+                self._keep(seen, writers, zero, looked_at)
                 done += 1
-                progress(done / total, f"recording {self.projector}: frame {done} of {total}")
         self._arm(self.texture_exposure)
         self._take(projector.white, writers, zero, looked_at=False)
         projector.dark()
+
+    def burst(self, exposure: float) -> Burst | None:
+        """Return how the patterns of an exposure are played; None where they are shown one by one."""
+        patterns = self.sequence.frames_per_exposure
+        return self.rig.burst(self.projector, self.cameras, patterns, exposure)
+
+    def _patterns(self, exposure: float, done: int, told: Callable[[int], None]) -> Iterator[Seen]:
+        """Yield what every camera sees of each pattern, in order: shown one by one, or played in a burst.
+
+        Of a burst nothing is yielded until all of it is there and fits together. `told` is given the number
+        of each frame, of which `done` were before, when it is kept or has come in.
+        """
+        burst, projector = self.burst(exposure), self.rig.projectors[self.projector]
+        if burst is not None:
+            yield from self._played(burst, lambda number: told(done + number))
+            return
+        self._arm(exposure)
+        for pattern in range(self.sequence.frames_per_exposure):
+            yield self._seen(partial(projector.show, pattern))
+            told(done + pattern + 1)
+
+    def _played(self, burst: Burst, told: Callable[[int], None]) -> Iterator[Seen]:
+        """Yield what every camera saw of a burst that is whole."""
+        projector, cameras = self.rig.projectors[self.projector], dict[str, BurstCamera]()
+        assert isinstance(projector, SequencedProjector)  # a rig file gives pulses to no other
+        for name in self.cameras:
+            camera = self.rig.cameras[name]
+            assert isinstance(camera, BurstCamera)
+            cameras[name] = camera
+        take = partial(played, Players(projector, cameras), burst, FRAME_TIMEOUT_S, told)
+        found = self._repeated(
+            take, burst.frames, "check the wires of the pulses, and period_ms and readout_ms"
+        )
+        self._next_number = {name: frame.number + 1 for name, frame in found[-1].items()}
+        for seen in found:
+            for name, frame in seen.items():
+                require_size(name, frame, cameras[name].facts)
+        while found:  # what is written need not be kept in memory
+            yield found.pop(0)
 
     def finish(
         self, writers: Mapping[str, SetWriter], channels: dict[str, float], moved: list[str]

@@ -24,9 +24,10 @@ from sms_jobs.instruments.connection import connected
 from sms_jobs.instruments.judging import Limits
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame
-from sms_jobs.instruments.recorder import record_state
+from sms_jobs.instruments.recorder import by_projector, record_state
 from sms_jobs.instruments.recording_sets import Adaptation
 from sms_jobs.metrology.geometry.stage_poses import StagePose
+from sms_jobs.records.bursts import Burst
 from sms_jobs.records.instruments import Instruments, SerialChannel, Stage, TriggerController, VideoSplitter
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import RigFile, VirtualCamera, VirtualProjector
@@ -96,8 +97,9 @@ def _sets(
         timed = replace(
             found,
             cameras={c.name: _TimedCamera(clock, c.exposure_s) for c in rig.cameras},
-            projectors={p.name: _TimedProjector(clock, p.settle_s) for p in rig.projectors},
+            projectors={p.name: _TimedProjector(clock, p.settle_s, p.load_s) for p in rig.projectors},
             trigger=_TimedTrigger(found),
+            burst=rig.burst,
         )
         begun = clock.monotonic()
         spool = Path(folder) / "spool"
@@ -112,6 +114,14 @@ def _sets(
             adaptation,
         )
         return clock.monotonic() - begun
+
+
+def ways(rig: RigFile, views: Sequence[str], sequence: FringeSequence) -> dict[str, str]:
+    """Return for each projector of some views how its patterns come before their cameras, in words."""
+    return {
+        name: f"{sequence.frames_per_exposure} {rig.way(name, cameras, sequence.exposures)}"
+        for name, cameras in by_projector(views).items()
+    }
 
 
 def _moves(rig: RigFile, silent: RigFile, poses: Sequence[StagePose | None]) -> list[tuple[float, str]]:
@@ -180,10 +190,20 @@ class _TimedCamera:
     _exposure: float = 1.0
     _until: float = 0.0
     _number: int = 0
+    _period_s: float = 0.0
     facts: CameraFacts = field(default=CameraFacts(1, 1, "uint16", 1, 1.0, 0.0))
 
     def arm(self, exposure: float) -> None:
         self._exposure = exposure
+        self._period_s = 0.0
+
+    def arm_burst(self, burst: Burst) -> None:
+        self._period_s = burst.period_s
+        self._until = self.clock.monotonic() + burst.lead_s + burst.exposure * self.exposure_s
+
+    def left_over(self, timeout_s: float) -> int:
+        self.clock.sleep(timeout_s)
+        return 0
 
     def trigger(self) -> None:
         self._until = self.clock.monotonic() + self._exposure * self.exposure_s
@@ -191,7 +211,8 @@ class _TimedCamera:
     def read(self, timeout_s: float) -> Frame:
         self.clock.sleep(self._until - self.clock.monotonic())
         self._number += 1
-        return Frame(self._number, self.clock.monotonic(), np.zeros((1, 1), np.uint16))
+        exposed_s, self._until = self._until, self._until + self._period_s
+        return Frame(self._number, exposed_s, np.zeros((1, 1), np.uint16))
 
     def disarm(self) -> None:
         pass
@@ -216,15 +237,27 @@ class _TimedProjector:
 
     clock: Clock
     settle_s: float
+    load_s: float
+    _loaded: FringeSequence | None = None
+    _until: float = 0.0
 
     def load(self, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None) -> None:
-        pass
+        wanted = replace(sequence, exposures=(1.0,))
+        if wanted != self._loaded:
+            self.clock.sleep(self.load_s)
+        self._loaded = wanted
 
     def show(self, number: int) -> None:
         self.clock.sleep(self.settle_s)
 
     def white(self) -> None:
         self.clock.sleep(self.settle_s)
+
+    def play(self, burst: Burst) -> None:
+        self._until = self.clock.monotonic() + burst.seconds
+
+    def wait(self) -> None:
+        self.clock.sleep(self._until - self.clock.monotonic())
 
     def dark(self) -> None:
         pass

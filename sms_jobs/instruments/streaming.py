@@ -18,12 +18,10 @@ from dataclasses import dataclass, field
 from math import ceil, inf
 from pathlib import Path
 
-import numpy as np
-import psutil
-
 from sms_jobs.errors import FrameLost, InvalidInput, StorageFull
 from sms_jobs.instruments.channel_watch import ChannelWatch
 from sms_jobs.instruments.connected_rig import ConnectedRig
+from sms_jobs.instruments.frame_memory import image_bytes, require_memory
 from sms_jobs.instruments.frame_ring import FrameRing
 from sms_jobs.instruments.kept_sets import SIMULATION
 from sms_jobs.instruments.kept_streams import (
@@ -33,7 +31,7 @@ from sms_jobs.instruments.kept_streams import (
     moments_path,
     readings_path,
 )
-from sms_jobs.instruments.protocols import Camera, CameraFacts, Fired, Frame, apart_s
+from sms_jobs.instruments.protocols import Camera, Fired, Frame, apart_s
 from sms_jobs.instruments.recorder import quietly
 from sms_jobs.instruments.recording_sets import FRAME_TIMEOUT_S, require_size
 from sms_jobs.instruments.spool import SpoolHeader, SpoolWriter
@@ -44,8 +42,6 @@ _SYNC_EVERY_S = 1.0
 _LOOKS_EVERY_S = 0.05
 _LEAST_TIMEOUT_S = 0.25
 """A camera that delivers nothing is waited for so long, or for two frames."""
-PART_OF_MEMORY = 0.5
-"""Of what is free that the rings may take."""
 
 logger = logging.getLogger(__name__)
 
@@ -294,23 +290,6 @@ def _frame(camera: Camera, fired: Fired, period_s: float) -> Frame:
             return frame
 
 
-def image_bytes(facts: CameraFacts) -> int:
-    """Return how many bytes an image of a camera has."""
-    return facts.rows * facts.columns * np.dtype(facts.dtype).itemsize
-
-
-def require_memory(size: StreamSize, bytes_each: Mapping[str, int]) -> None:
-    """Raise `InvalidInput` where rings of cameras, by the bytes of an image, do not fit into memory."""
-    needed = size.ring_frames * sum(bytes_each.values())
-    allowed = PART_OF_MEMORY * psutil.virtual_memory().available
-    if needed > allowed:
-        raise InvalidInput(
-            f"{size.ring_frames} frames of each of {', '.join(bytes_each)} wait in memory and need "
-            f"{needed / 1e6:.0f} MB, and half of what is free are {allowed / 1e6:.0f} MB: keep less before "
-            "the event, or take fewer frames a second"
-        )
-
-
 def _require(rig: ConnectedRig, order: StreamOrder, spool: Path) -> None:
     """Raise where cameras, channel, memory or disk lack for a stream, before anything is exposed."""
     for name in order.cameras:
@@ -324,7 +303,8 @@ def _require(rig: ConnectedRig, order: StreamOrder, spool: Path) -> None:
             f"{known}"
         )
     bytes_each = {name: image_bytes(rig.cameras[name].facts) for name in order.cameras}
-    require_memory(order.size, bytes_each)
+    advice = "keep less before the event, or take fewer frames a second"
+    require_memory(order.size.ring_frames, bytes_each, advice)
     spool.mkdir(parents=True, exist_ok=True)
     needed, free = order.size.most_frames * sum(bytes_each.values()), shutil.disk_usage(spool).free
     if needed > free:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.bursts import Burst, PulseTrain
 from sms_jobs.records.instruments import Instruments, Stage
 from sms_jobs.records.subject import checked_name
 
@@ -22,14 +24,34 @@ class OpticalFault:
     ----------
     fault
         "dropped-frame": a frame is triggered and never arrives. "flash": a lamp shines into the camera while
-        a set is recorded. "unplugged": nothing is heard of the camera any more.
+        a set is recorded. "unplugged": nothing is heard of the camera any more. Of a pulse of a projector
+        alone: "lost-pulse" does not come, "double-pulse" exposes twice, "late-pulse" comes late.
     state
         Label of the load state at which it happens; empty for every state.
     frame
-        Count of the camera's triggers at that state, from 1, at which it happens.
+        Count of the camera's triggers at that state, from 1, at which it happens; pulses are triggers.
     """
 
-    fault: Literal["dropped-frame", "flash", "unplugged"]
+    fault: Literal["dropped-frame", "flash", "unplugged", "lost-pulse", "double-pulse", "late-pulse"]
+    state: str = ""
+    frame: int = 1
+
+
+@dataclass(frozen=True)
+class ProjectorFault:
+    """What a simulated projector is to do wrong.
+
+    Attributes
+    ----------
+    fault
+        "stops": it stops in the middle of what it plays by itself.
+    state
+        Label of the load state at which it happens; empty for every state.
+    frame
+        Count of the patterns that it plays at that state, from 1, before which it happens.
+    """
+
+    fault: Literal["stops"]
     state: str = ""
     frame: int = 1
 
@@ -71,6 +93,15 @@ class CameraInstrument(OpticalInstrument):
         """How long an exposure of 1 takes, in s; 0 where its file does not say it, in `exposure_ms`."""
         return float(getattr(self, "exposure_ms", 0.0)) / 1e3
 
+    @property
+    def pulsed(self) -> bool:
+        """Whether a projector's pulses can expose it."""
+        return False
+
+    def busy_s(self, exposure: float) -> float:
+        """Return how long it is from one pulse until it is ready for the next, as far as its file says."""
+        return exposure * self.exposure_s + float(getattr(self, "readout_ms", 0.0)) / 1e3
+
 
 @dataclass(frozen=True)
 class ProjectorInstrument(OpticalInstrument):
@@ -80,6 +111,17 @@ class ProjectorInstrument(OpticalInstrument):
     def settle_s(self) -> float:
         """How long a picture takes to be on, in s; 0 where its file does not say it, in `settle_ms`."""
         return float(getattr(self, "settle_ms", 0.0)) / 1e3
+
+    @property
+    def load_s(self) -> float:
+        """How long it takes to be given the patterns of a sequence, in s; its file says so in `load_ms`."""
+        return float(getattr(self, "load_ms", 0.0)) / 1e3
+
+    @property
+    def pulse_train(self) -> PulseTrain | None:
+        """Its pulses, where it plays patterns by itself and its file says whom they expose, in `pulses`."""
+        found: PulseTrain | None = getattr(self, "pulses", None)
+        return found
 
 
 @dataclass(frozen=True)
@@ -95,6 +137,11 @@ class VirtualCamera(CameraInstrument):
     driver: Literal["simulated"]
     faults: tuple[OpticalFault, ...] = ()
 
+    @property
+    def pulsed(self) -> bool:
+        """Whether a projector's pulses can expose it."""
+        return True
+
 
 @dataclass(frozen=True)
 class VirtualProjector(ProjectorInstrument):
@@ -104,10 +151,16 @@ class VirtualProjector(ProjectorInstrument):
     ----------
     settle_ms
         Between handing over a picture and light: the display's and the projector's delay.
+    pulses
+        With which it plays patterns by itself; None where each is shown by a command.
+    faults
+        What it is to do wrong.
     """
 
     driver: Literal["simulated"]
     settle_ms: float = 50.0
+    pulses: PulseTrain | None = None
+    faults: tuple[ProjectorFault, ...] = ()
 
 
 def _wiring_at_odds(rig: str, camera: CameraInstrument) -> str:
@@ -120,6 +173,29 @@ def _wiring_at_odds(rig: str, camera: CameraInstrument) -> str:
         f"a trigger controller of rig {rig} is wired to {camera.name}, which does not wait for it: name the "
         'camera\'s line, such as trigger = "Line1", where its driver knows lines'
     )
+
+
+def _check_pulses(rig: str, train: PulseTrain, projector: str, cameras: dict[str, CameraInstrument]) -> None:
+    """Raise `InvalidInput` where pulses are wired to what they cannot expose as one."""
+    for name in train.cameras:
+        if name not in cameras:
+            raise InvalidInput(
+                f"rig {rig} wires pulses of {projector} to {name}, which is none of its cameras "
+                f"{', '.join(cameras)}"
+            )
+        if not cameras[name].pulsed:
+            raise InvalidInput(
+                f"rig {rig} wires pulses of {projector} to {name}, which does not wait for them: name its "
+                'line, such as pulse_line = "Line2", where its driver knows lines'
+            )
+    exposed = {name: cameras[name].exposure_s for name in train.cameras}
+    real = any(cameras[name].driver != SIMULATED for name in train.cameras)
+    if len(set(exposed.values())) > 1 or (real and not all(exposed.values())):
+        each = " and ".join(f"{name} for {1e3 * seconds:g} ms" for name, seconds in exposed.items())
+        raise InvalidInput(
+            f"in rig {rig} pulses of {projector} expose {each}: give all of these one exposure_ms, for which "
+            "every pattern is lit"
+        )
 
 
 def _check_size(name: str, columns: int, rows: int) -> None:
@@ -169,6 +245,37 @@ class RigFile:
         for camera in self.cameras:
             if camera.driver != SIMULATED and camera.wired != (camera.name in triggered):
                 raise InvalidInput(_wiring_at_odds(self.name, camera))
+        by_name = {c.name: c for c in self.cameras}
+        for projector in self.projectors:
+            if projector.pulse_train is not None:
+                _check_pulses(self.name, projector.pulse_train, projector.name, by_name)
+
+    def way(self, projector: str, cameras: Collection[str], exposures: Sequence[float]) -> str:
+        """Return in words how a projector's patterns come before some cameras, and if one by one, why."""
+        train = self._pulse_train(projector)
+        if train is None:
+            return f"patterns shown one by one: the file of rig {self.name} gives {projector} no pulses"
+        if missing := train.missing(cameras):
+            return f"patterns shown one by one: its pulses do not reach {', '.join(missing)}"
+        bursts = [self.burst(projector, cameras, 1, exposure) for exposure in exposures]
+        periods = dict.fromkeys(f"{1e3 * burst.period_s:g}" for burst in bursts if burst is not None)
+        return f"patterns played in a burst, one every {', '.join(periods)} ms"
+
+    def burst(self, projector: str, cameras: Collection[str], frames: int, exposure: float) -> Burst | None:
+        """Return how a projector plays so many patterns to some cameras; None where it does not.
+
+        It waits for the camera that needs longest.
+        """
+        train = self._pulse_train(projector)
+        if train is None or train.missing(cameras):
+            return None
+        seeing = [c for c in self.cameras if c.name in cameras]
+        period_s = max(train.period_ms / 1e3, *(c.busy_s(exposure) for c in seeing))
+        lit_s = max(c.exposure_s for c in seeing) * exposure
+        return Burst(frames, exposure, period_s, train.lead_ms / 1e3, lit_s)
+
+    def _pulse_train(self, projector: str) -> PulseTrain | None:
+        return next((p.pulse_train for p in self.projectors if p.name == projector), None)
 
     @property
     def sensors(self) -> tuple[str, ...]:

@@ -12,11 +12,11 @@ from typing import Any, Literal
 import numpy as np
 
 from sms_jobs.errors import ConfigurationError, DeviceFault, LinkLost
-from sms_jobs.instruments.genicam_cameras import Delivered, GenicamCamera, GenicamSettings, Value
+from sms_jobs.instruments.genicam_cameras import Delivered, GenicamCamera, Value
+from sms_jobs.instruments.genicam_settings import GenicamSettings
 from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext
 
 _LIBRARIES = ("libaravis-0.8.so.0", "libaravis-0.8.0.dylib")
-_BUFFERS = 4
 _NO_PACKET_SOCKETS = 1
 _STATUS = {
     1: "it was cleared",
@@ -198,13 +198,13 @@ class AravisStream:
         self._camera = camera
         self._stream: int | None = None
 
-    def start(self) -> None:
+    def start(self, buffers: int) -> None:
         """Begin an acquisition, with a receiver of its own."""
         self._release()
         aravis = library()
         self._stream = _call(self._name, "arv_camera_create_stream", self._camera, None, None)
         payload = _call(self._name, "arv_camera_get_payload", self._camera)
-        for _ in range(_BUFFERS):
+        for _ in range(buffers):
             aravis.arv_stream_push_buffer(self._stream, aravis.arv_buffer_new_allocate(payload))
         _call(self._name, "arv_camera_start_acquisition", self._camera)
 

@@ -11,10 +11,9 @@ from typing import Any, Literal
 import numpy as np
 
 from sms_jobs.errors import DeviceFault, LinkLost
-from sms_jobs.instruments.genicam_cameras import Delivered, GenicamCamera, GenicamSettings, Value
+from sms_jobs.instruments.genicam_cameras import Delivered, GenicamCamera, Value
+from sms_jobs.instruments.genicam_settings import GenicamSettings
 from sms_jobs.instruments.optical_drivers import CameraDriver, DriverContext, optional_package
-
-_BUFFERS = 4
 
 
 @dataclass(frozen=True)
@@ -85,11 +84,11 @@ class GentlStream:
     def __init__(self, name: str, acquirer: Any) -> None:
         self._name = name
         self._acquirer = acquirer
-        acquirer.num_buffers = _BUFFERS
 
-    def start(self) -> None:
+    def start(self, buffers: int) -> None:
         """Begin an acquisition, with buffers of its own."""
         with _words(self._name):
+            self._acquirer.num_buffers = buffers
             self._acquirer.start()
 
     def stop(self) -> None:

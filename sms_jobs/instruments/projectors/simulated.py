@@ -10,7 +10,8 @@ from sms_jobs.records.optical_instruments import SIMULATED, VirtualProjector
 def connect(projector: VirtualProjector, context: DriverContext) -> SimulatedProjector:
     """Put a projector into the room."""
     assert context.room is not None
-    return SimulatedProjector(projector.name, context.room, projector.settle_ms / 1e3)
+    settle_s = projector.settle_ms / 1e3
+    return SimulatedProjector(projector.name, context.room, settle_s, projector.pulses, projector.faults)
 
 
 DRIVER = ProjectorDriver(SIMULATED, VirtualProjector, connect)

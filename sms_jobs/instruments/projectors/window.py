@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from sms_jobs.errors import DeviceFault, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.optical_drivers import DriverContext, ProjectorDriver, optional_package
-from sms_jobs.metrology.geometry.camera import pixel_grid
-from sms_jobs.metrology.phase.patterns import direction, fringe_pattern, phase_gradient, stripe_brightness
+from sms_jobs.instruments.pictures import Levels, grey_levels, pattern_brightness
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import ProjectorInstrument
 
-_WHITE = 255
 _KEPT = 128
 """Pictures of the present sequence that are kept, for the next exposure and the next state."""
 _CENTRED_ON = 0x2FFF0000
@@ -37,8 +35,6 @@ _HINTS = {
     "SDL_WINDOWS_DPI_AWARENESS": "permonitorv2",
     "SDL_RENDER_SCALE_QUALITY": "nearest",
 }
-
-Levels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -71,11 +67,6 @@ class WindowSettings(ProjectorInstrument):
                 f"a gamma of {self.gamma}: displays count from 0, it may take up to 60000 ms, and gamma is "
                 "from 0.1 to 10"
             )
-
-
-def grey_levels(brightness: NDArray[np.float64], gamma: float) -> Levels:
-    """Return the levels, 0 .. 255, at which a projector of that response is so bright, 0 .. 1."""
-    return np.rint(_WHITE * np.clip(brightness, 0.0, 1.0) ** (1.0 / gamma)).astype(np.uint8)
 
 
 class Screen:
@@ -231,19 +222,7 @@ class WindowProjector:
 
     def _picture(self, number: int) -> Levels:
         columns, rows = self.settings.columns, self.settings.rows
-        fringes, code = list(self._sequence.patterns()), list(self._sequence.code_patterns())
-        stripes = code[number - len(fringes)] if number >= len(fringes) else None
-        orientation = fringes[number][0] if stripes is None else stripes.orientation_rad
-        across, down = direction(orientation)
-        # Of patterns along an axis one line is computed, and seen as all of them.
-        line = (columns if across else 1, rows if down else 1)
-        if stripes is None:
-            brightness = fringe_pattern(*line, orientation, *fringes[number][1:], self._sequence.steps)
-        else:
-            omega = phase_gradient(pixel_grid(line[1], line[0]), *line, orientation)
-            shown = stripes.bits, stripes.stripes, stripes.bit, stripes.inverted
-            brightness = stripe_brightness(omega, *shown)
-        brightness = self._dimmed(brightness)
+        brightness = self._dimmed(pattern_brightness(self._sequence, number, columns, rows))
         levels: Levels = np.broadcast_to(grey_levels(brightness, self.settings.gamma), (rows, columns))
         return levels
 

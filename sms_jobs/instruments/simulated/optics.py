@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from sms_jobs.errors import FrameLost, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.protocols import CameraFacts, Frame
+from sms_jobs.records.bursts import Burst, PulseTrain
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.optical_instruments import OpticalFault
+from sms_jobs.records.optical_instruments import OpticalFault, ProjectorFault
 from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
 from sms_jobs.records.views import view_of
 from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
@@ -62,12 +63,16 @@ class VirtualRoom:
         hold.
     threads
         For rendering.
+    wires
+        What is done with a pulse, by the names of the cameras that wait for one: given its time, in s, and
+        that to the next one.
     """
 
     setting: Setting
     clock: Clock
     stage_angles: Callable[[], tuple[float, float]] | None = None
     threads: int = 1
+    wires: dict[str, Callable[[float, float], None]] = field(default_factory=dict)
     _lit: tuple[str, FringeSequence, int, NDArray[np.float32] | None] | None = None
     _seen: dict[tuple[object, ...], Rendering] = field(default_factory=dict)
 
@@ -154,8 +159,13 @@ class SimulatedProjector:
     name: str
     room: VirtualRoom
     settle_s: float = 0.0
+    pulses: PulseTrain | None = None
+    faults: tuple[ProjectorFault, ...] = ()
     _sequence: FringeSequence = field(default_factory=FringeSequence)
     _dimming: NDArray[np.float32] | None = None
+    _played: int = 0
+    _plays_until: float = 0.0
+    _stopped: str = ""
 
     def describe(self) -> str:
         """Return what it is."""
@@ -176,9 +186,33 @@ class SimulatedProjector:
         self.room.light(self.name, self._sequence, WHITE, self._dimming)
         self.room.clock.sleep(self.settle_s)
 
+    def play(self, burst: Burst) -> None:
+        """Begin to show every pattern once; all of them are told to the cameras at once, with their times."""
+        begun = self.room.clock.monotonic() + burst.lead_s
+        self._plays_until, self._stopped = begun + burst.frames * burst.period_s, ""
+        for pattern in range(burst.frames):
+            self._played += 1
+            if any(f.frame == self._played for f in self._here()):
+                self._stopped = f"projector {self.name} stopped after {pattern} of {burst.frames} patterns"
+                break
+            self.room.light(self.name, self._sequence, pattern, self._dimming)
+            for camera in self.pulses.cameras if self.pulses is not None else ():
+                if camera in self.room.wires:
+                    self.room.wires[camera](begun + pattern * burst.period_s, burst.period_s)
+        self.room.darken(self.name)
+
+    def wait(self) -> None:
+        """Return when it has played to the end."""
+        self.room.clock.sleep(self._plays_until - self.room.clock.monotonic())
+        if self._stopped:
+            raise FrameLost(self._stopped)
+
     def dark(self) -> None:
         """Show nothing."""
         self.room.darken(self.name)
+
+    def _here(self) -> list[ProjectorFault]:
+        return [f for f in self.faults if f.state in ("", self.room.setting.state)]
 
 
 @dataclass(frozen=True)
@@ -223,21 +257,47 @@ class SimulatedCamera:
         self._plugged_in()
         self._exposure = exposure
         self._waiting.clear()
+        self.room.wires.pop(self.name, None)
+
+    def arm_burst(self, burst: Burst) -> None:
+        """Make ready to be exposed by pulses."""
+        self.arm(burst.exposure)
+        self.room.wires[self.name] = self._pulse
+
+    def left_over(self, timeout_s: float) -> int:
+        """Return how many frames were not read, and forget them."""
+        left = len(self._waiting)
+        if not left:
+            self.room.clock.sleep(timeout_s)
+        self._waiting.clear()
+        return left
 
     def trigger(self) -> None:
         """Take a frame; a camera that is not armed takes none."""
         self._triggers += 1
+        self._expose(self.room.clock.monotonic())
+
+    def _pulse(self, time_s: float, period_s: float) -> None:
+        """Take a frame when a pulse comes."""
+        self._triggers += 1
+        if self._now("lost-pulse"):
+            return
+        self._expose(time_s + 0.3 * period_s * self._now("late-pulse"))
+        if self._now("double-pulse"):
+            self._expose(time_s + 0.5 * period_s)
+
+    def _expose(self, time_s: float) -> None:
         if self._exposure is None or self._has("unplugged"):
             return
         self._number += 1
-        if any(f.frame == self._triggers for f in self._here("dropped-frame")):
+        if self._now("dropped-frame"):
             return
         image = self.room.exposed(self.name, self._exposure)
-        if any(f.frame == self._triggers for f in self._here("flash")):
+        if self._now("flash"):
             self._flashes = 3
         flash = self._flashes > 0
         self._flashes -= flash
-        self._waiting.append(_Exposed(self._number, self.room.clock.monotonic(), image, flash))
+        self._waiting.append(_Exposed(self._number, time_s, image, flash))
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest frame that was not read."""
@@ -246,6 +306,7 @@ class SimulatedCamera:
             self.room.clock.sleep(timeout_s)
             raise FrameLost(f"camera {self.name} delivered no frame within {timeout_s:g} s of its trigger")
         exposed = self._waiting.pop(0)
+        self.room.clock.sleep(exposed.time_s - self.room.clock.monotonic())
         image = exposed.image()
         if exposed.flash:
             noise = Noise.of(self.room.setting.scene.camera)
@@ -255,6 +316,10 @@ class SimulatedCamera:
     def disarm(self) -> None:
         """Stop taking frames."""
         self._exposure = None
+        self.room.wires.pop(self.name, None)
+
+    def _now(self, fault: str) -> bool:
+        return any(f.frame == self._triggers for f in self._here(fault))
 
     def _here(self, fault: str) -> list[OpticalFault]:
         return [f for f in self.faults if f.fault == fault and f.state in ("", self.room.setting.state)]

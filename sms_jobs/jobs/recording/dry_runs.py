@@ -18,7 +18,7 @@ from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
-from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse
+from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse, ways
 from sms_jobs.jobs.devices.disks import free_bytes
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
@@ -55,6 +55,7 @@ def dry_run(
     parameters = KIND.checked_parameters(campaign.processing.get(KIND.name, {}))
     missing = [*_missing_sensors(rig, campaign), *_missing_channels(rig, parameters)]
     rehearsed: dict[str, StateRehearsal] = {}
+    shown: dict[str, str] = {}
     if not missing:
         poses = [_pose(s) for s in states]
         as_planned = Adaptation(QUICK, lambda projector, quick: Patterns(campaign.sequence))
@@ -67,6 +68,7 @@ def dry_run(
             None if parameters.adaptive == "none" else as_planned,
         )
         rehearsed = {s.label: r for s, r in zip(states, found, strict=True)}
+        shown = ways(rig, campaign.recordings, campaign.sequence)
         missing += [f"{label}: {r.problem}" for label, r in rehearsed.items() if r.problem]
     # A set that is recorded again lies beside the one that it replaces.
     again = parameters.recordings > 1
@@ -80,6 +82,7 @@ def dry_run(
         tuple(missing),
         (*_remarks(rig, states), *_adapted(parameters)),
         _mixed(rig, campaign, _UNPACKED) or 1.0,
+        shown,
     )
     needed = ("spool", spool_bytes, done.spool_room), ("archive", done.archived_bytes, done.archive_room)
     full = [

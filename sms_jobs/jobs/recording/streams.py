@@ -14,8 +14,8 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.models import JobRow
 from sms_jobs.errors import InvalidInput
+from sms_jobs.instruments.frame_memory import PART_OF_MEMORY
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL
-from sms_jobs.instruments.streaming import PART_OF_MEMORY
 from sms_jobs.jobs.archiving.importing import measured_tuples
 from sms_jobs.jobs.devices.disks import free_bytes
 from sms_jobs.jobs.recording.recordings import PairVerdict

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class DryRun:
         What keeps these states from being recorded, in words.
     remarks
         What is as the plan says and yet worth knowing.
+    ways
+        How the patterns of each projector come before its cameras, in words.
     """
 
     states: dict[str, StateRehearsal]
@@ -67,6 +70,7 @@ class DryRun:
     missing: tuple[str, ...]
     remarks: tuple[str, ...] = ()
     unpacked: float = 1.0
+    ways: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:

@@ -64,7 +64,7 @@ def test_frames_are_numbered_by_the_camera(settings: GentlSettings, context: Dri
     stream = connect(settings, context)._stream
     for _ in range(2):  # each acquisition counts from 1
         got: list[Delivered] = []
-        stream.start()
+        stream.start(4)
         for _ in range(3):
             assert stream.take(TIMEOUT_S, got.append)
         # At 20 frames a second none is ready at once.

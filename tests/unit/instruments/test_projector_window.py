@@ -17,7 +17,8 @@ from support.display import COLUMNS, ROWS, Display, display
 from sms_jobs.errors import ConfigurationError, DeviceFault, InvalidInput, LinkLost
 from sms_jobs.instruments.clock import SimulatedClock
 from sms_jobs.instruments.optical_drivers import DriverContext
-from sms_jobs.instruments.projectors.window import WindowProjector, WindowSettings, connect, grey_levels
+from sms_jobs.instruments.pictures import grey_levels
+from sms_jobs.instruments.projectors.window import WindowProjector, WindowSettings, connect
 from sms_jobs.records.measurement import FringeSequence
 
 SETTINGS = WindowSettings("P1", COLUMNS, ROWS, "window")

@@ -78,6 +78,19 @@ def test_frames_bytes_and_time_follow_from_the_plan(services: Services) -> None:
     assert done.states["B01"].moving_s < done.states["S03"].moving_s < done.states["S01"].moving_s
 
 
+def test_how_patterns_come_is_told(services: Services) -> None:
+    pulses = ', pulses = { cameras = ["C1"], period_ms = 25.0 } },'
+    of_the_first = RIG.replace(" },", pulses, 1)
+    stepped, played = tried(services, asking_for()), tried(services, asking_for(), of_the_first)
+    one_by_one = "40 patterns shown one by one: the file of rig hall-3 gives P{} no pulses"
+    assert stepped.ways == {"P1": one_by_one.format(1), "P2": one_by_one.format(2)}
+    assert played.ways == {"P1": "40 patterns played in a burst, one every 25 ms", "P2": one_by_one.format(2)}
+    for label, state in stepped.states.items():
+        # 39 periods of 25 ms and 50 ms after them instead of 40 times 100, and white as before.
+        saved_s = state.recording_s - played.states[label].recording_s
+        assert saved_s == pytest.approx(40 * 0.1 - 39 * 0.025 - 0.05, abs=1e-6)
+
+
 def test_what_the_rig_lacks_is_told(services: Services) -> None:
     assert tried(services, asking_for("temperature=0.5")).missing == ()
     (channel,) = tried(services, asking_for("load_n")).missing

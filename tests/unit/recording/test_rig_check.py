@@ -120,6 +120,18 @@ def test_a_stage_that_has_not_been_home_tells_no_angles(home: Path) -> None:
     assert "C1 simulated: there when a campaign gives it a scene" in shown
 
 
+def test_how_patterns_come_is_told(home: Path) -> None:
+    pulses = 'pulses = { cameras = ["C1"], period_ms = 20.0 }'
+    assert f"# {pulses}" in example_rig()
+    connect(home, example_rig().replace(f"# {pulses}", pulses))
+    assert json.loads(told(home, "check", "virtual", "--json"))["ways"] == {
+        "P1": "patterns played in a burst, one every 20 ms",
+        "P2": "patterns shown one by one: the file of rig virtual gives P2 no pulses",
+    }
+    shown = " ".join(told(home, "check", "virtual").split())
+    assert "P1 patterns played in a burst, one every 20 ms" in shown
+
+
 def test_angles_before_home_are_not_archived(tmp_path: Path) -> None:
     scene = small_plate("plate")[1].scene
     assert scene is not None
