@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -25,7 +25,7 @@ def print_(
     width_mm: Annotated[float, typer.Option(help="Width of the printed area, mm.", min=1.0)],
     height_mm: Annotated[float, typer.Option(help="Height of the printed area, mm.", min=1.0)],
     speckle_mm: Annotated[
-        float, typer.Option(help="Mean diameter of a speckle, mm: five pixels of the camera or so.", min=0.01)
+        float, typer.Option(help="Mean width of a speckle, mm: five pixels of the camera or so.", min=0.01)
     ],
     out: Annotated[Path, typer.Option("--output", "-o", help="PDF or PNG file to write.")],
     dpi: Annotated[int, typer.Option(help="Dots an inch of the printer.", min=50, max=4800)] = 600,
@@ -33,6 +33,10 @@ def print_(
     mirrored: Annotated[
         bool, typer.Option("--mirrored", help="Exchange left and right, for transfer paper.")
     ] = False,
+    pattern: Annotated[
+        Literal["dots", "laser"],
+        typer.Option(help="Round black dots, or laser speckle, whose width is that at half maximum."),
+    ] = "dots",
     force: Force = False,
 ) -> None:
     """Write a speckle pattern of exact physical size; print it at 100 %, without fitting to the page.
@@ -49,6 +53,7 @@ def print_(
         dpi=dpi,
         seed=seed,
         mirrored=mirrored,
+        pattern=pattern,
     )
     writing.write_file(out, content, force, endings)
     output.say(f"wrote {out}: {width_mm:g} mm x {height_mm:g} mm at {dpi} dpi")

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.scene import Speckle
+from sms_jobs.virtual_rig.laser_speckle import (
+    WIDTH_TIMES_APERTURE,
+    Aperture,
+    LaserSpeckle,
+    laser_speckle,
+    rough_light,
+)
 from sms_jobs.virtual_rig.speckle import speckle_image
+
+Pattern = Literal["dots", "laser"]
+"""Round black dots, or laser speckle, which the thesis printed."""
 
 MM_PER_INCH = 25.4
 _MOST_PIXELS = 400_000_000
+_WHITE = 3.0  # times the mean brightness of laser speckle, beyond which all is white: 5 % of it
 
 
 @dataclass(frozen=True)
@@ -25,13 +37,15 @@ class Sheet:
     width_mm, height_mm
         Of the printed area.
     speckle_mm
-        Mean diameter of a speckle.
+        Mean diameter of a dot; of laser speckle the full width at half maximum of the autocorrelation.
     dpi
         Printed dots an inch.
     seed
         Of the pattern.
     mirrored
         Left and right exchanged, for transfer paper, which is put on face down.
+    pattern
+        What speckles look like.
     """
 
     width_mm: float
@@ -40,12 +54,14 @@ class Sheet:
     dpi: int = 600
     seed: int = 1
     mirrored: bool = False
+    pattern: Pattern = "dots"
 
 
 def speckle_sheet(sheet: Sheet) -> NDArray[np.uint8]:
     """Return the sheet's dots, (rows, columns): 0 black, 255 white, grey where an edge crosses a dot.
 
-    Raises `InvalidInput` when it has too many dots, or fewer than four across a speckle.
+    Laser speckle has all greys. Raises `InvalidInput` when the sheet has too many dots, when a speckle has
+    fewer than four across, and when one of laser speckle is as large as the sheet.
     """
     pitch = MM_PER_INCH / sheet.dpi
     columns, rows = round(sheet.width_mm / pitch), round(sheet.height_mm / pitch)
@@ -61,9 +77,26 @@ def speckle_sheet(sheet: Sheet) -> NDArray[np.uint8]:
             f"{sheet.dpi} dpi, fewer than 4; choose {4.0 * MM_PER_INCH / sheet.speckle_mm:.0f} dpi "
             "or more"
         )
-    speckle = Speckle(sheet.speckle_mm, 0.0, 1.0, sheet.seed)
-    image = np.rint(255.0 * speckle_image(speckle, rows, columns, pitch)).astype(np.uint8)
+    if sheet.pattern == "laser":
+        light = _light(sheet, rows, columns)
+        bright = np.minimum(laser_speckle(light) / _WHITE, 1.0)
+    else:
+        bright = speckle_image(Speckle(sheet.speckle_mm, 0.0, 1.0, sheet.seed), rows, columns, pitch)
+    image = np.rint(255.0 * bright).astype(np.uint8)
     return np.ascontiguousarray(image[:, ::-1]) if sheet.mirrored else image
+
+
+def _light(sheet: Sheet, rows: int, columns: int) -> Aperture:
+    """Return the light behind which laser speckle is as wide as the sheet wants it."""
+    pitch = MM_PER_INCH / sheet.dpi
+    aperture = WIDTH_TIMES_APERTURE * pitch / sheet.speckle_mm
+    widest_mm = WIDTH_TIMES_APERTURE * pitch * min(rows, columns)
+    if sheet.speckle_mm > widest_mm:
+        raise InvalidInput(
+            f"laser speckle of {sheet.speckle_mm:g} mm is too large for a sheet of {sheet.width_mm:g} mm x "
+            f"{sheet.height_mm:g} mm: choose {0.99 * widest_mm:.3g} mm or less"
+        )
+    return rough_light(LaserSpeckle(aperture, sheet.seed), rows, columns)
 
 
 def as_png(sheet: Sheet) -> bytes:

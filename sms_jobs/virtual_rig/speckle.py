@@ -84,15 +84,20 @@ def reflectance(pattern: Floats, a: float, b: float, footprint: float) -> float:
 
 
 @uncounted_kernel
-def _fill_image(pattern: Floats, pitch: float, out: Floats) -> None:
-    """Fill an image with the reflectance of squares of `pitch` mm."""
+def _fill_image(pattern: Floats, pitch: float, left: float, top: float, out: Floats) -> None:
+    """Fill an image, whose corner is at (left, top) mm, with the reflectance of squares of `pitch` mm."""
     for r in range(out.shape[0]):
         for c in range(out.shape[1]):
-            out[r, c] = reflectance(pattern, (c + 0.5) * pitch, (r + 0.5) * pitch, pitch)
+            out[r, c] = reflectance(pattern, left + (c + 0.5) * pitch, top + (r + 0.5) * pitch, pitch)
 
 
-def speckle_image(speckle: Speckle, rows: int, columns: int, pitch_mm: float) -> Floats:
-    """Return the pattern on squares of `pitch_mm`, (rows, columns): reflectance, dark .. bright."""
+def speckle_image(
+    speckle: Speckle, rows: int, columns: int, pitch_mm: float, corner_mm: tuple[float, float] = (0.0, 0.0)
+) -> Floats:
+    """Return the pattern on squares of `pitch_mm`, (rows, columns): reflectance, dark .. bright.
+
+    `corner_mm` is where on the material the top-left square begins, (a, b).
+    """
     image = np.empty((rows, columns))
-    _fill_image(packed_speckle(speckle), pitch_mm, image)
+    _fill_image(packed_speckle(speckle), pitch_mm, *corner_mm, image)
     return image

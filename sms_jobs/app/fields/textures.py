@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,23 +227,26 @@ def speckle(
     dpi: int = 600,
     seed: int = 1,
     mirrored: bool = False,
+    pattern: Literal["dots", "laser"] = "dots",
 ) -> bytes:
     """Return a speckle pattern of exact physical size as the file of a suffix, `.pdf` or `.png`.
 
     Parameters
     ----------
     speckle_mm
-        Mean diameter of a speckle.
+        Mean diameter of a dot; of laser speckle the full width at half maximum of the autocorrelation.
     dpi
         Dots an inch of the printer.
     seed
         Another gives another pattern.
     mirrored
         Exchange left and right, for transfer paper.
+    pattern
+        Round black dots, or laser speckle.
 
-    Raises `InvalidInput` for a pattern that has too many dots.
+    Raises `InvalidInput` for a pattern that has too many dots, and for speckles too small or too large.
     """
     from sms_jobs.formats.printed_speckle import Sheet, as_pdf, as_png
 
-    sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored)
+    sheet = Sheet(width_mm, height_mm, speckle_mm, dpi, seed, mirrored, pattern)
     return as_pdf(sheet) if suffix == ".pdf" else as_png(sheet)

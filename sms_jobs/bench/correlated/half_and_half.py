@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sms_jobs.bench.correlated.speckle_pairs import halves
+from sms_jobs.bench.correlated.speckle_pairs import Pattern, halves
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
@@ -34,14 +34,24 @@ class AboutEdge:
         (rows,), of a row's middle from the edge, in px; negative above it.
     own_part
         (rows,), part of the subset that lies on its centre's half.
-    error
-        (shifts, rows, points), of u, in px; NaN where a match failed.
+    error, sigma
+        (shifts, rows, points), of u, and what is stated of it, in px; NaN where a match failed.
     """
 
     shifts: Floats
     distance: Floats
     own_part: Floats
     error: Floats
+    sigma: Floats
+
+    def folded(self) -> AboutEdge:
+        """Return both sides of the edge together, 0.5, 1.5 .. px from it."""
+        half = len(self.distance) // 2
+        error, sigma = (
+            np.concatenate([both[:, half - 1 :: -1], both[:, half:]], axis=2)
+            for both in (self.error, self.sigma)
+        )
+        return AboutEdge(self.shifts, self.distance[half:], self.own_part[half:], error, sigma)
 
     def rms(self) -> Floats:
         """Return the rms error (rows,) of the matches that ended well, in px; NaN where there is none."""
@@ -62,6 +72,7 @@ def match_halves(
     radius: int = 16,
     noise: float = 0.0,
     shifts: tuple[tuple[float, float], ...] = HALVES,
+    pattern: Pattern = "blobs",
 ) -> AboutEdge:
     """Match subsets on and about the edge between the halves of exact speckle.
 
@@ -77,16 +88,18 @@ def match_halves(
         Standard deviation of both images, in parts of the speckle's contrast.
     shifts
         Of the upper and the lower half, in px.
+    pattern
+        Of the speckle.
     """
     middle = _SIZE // 2
     y, x = (a.ravel() for a in np.mgrid[middle - _REACH : middle + _REACH, 24 : _SIZE - 24 : 4])
-    error = np.full((len(shifts), len(x)), np.nan)
+    error, sigma = np.full((2, len(shifts), len(x)), np.nan)
     for k, (upper, lower) in enumerate(shifts):
-        reference, deformed, labels = halves(_SIZE, upper, lower, 40 + k)
+        reference, deformed, labels = halves(_SIZE, upper, lower, 40 + k, pattern)
         rng = np.random.default_rng(140 + k)
-        sigma = noise * reference.std()
-        first, second = (image + rng.normal(0.0, sigma, image.shape) for image in (reference, deformed))
-        model = Noise(sigma**2, 0.0)
+        level = noise * reference.std()
+        first, second = (image + rng.normal(0.0, level, image.shape) for image in (reference, deformed))
+        model = Noise(level**2, 0.0)
         images = prepare_images(first, second, labels if parted else np.ones_like(labels), (model, model))
         truth = np.where(y < middle, upper, lower)
         guess = np.zeros((len(x), 6))
@@ -94,10 +107,12 @@ def match_halves(
         found = REFINEMENT[method](images, x, y, guess, MatchSettings(radius))
         good = found.ending == CONVERGED
         error[k, good] = (found.warp[:, 0] - truth)[good]
+        sigma[k, good] = found.sigma[good, 0]
     distance = np.arange(-_REACH, _REACH, dtype=np.float64) + 0.5
     return AboutEdge(
         np.array(shifts),
         distance,
         np.asarray(np.minimum((np.abs(distance) + radius + 0.5) / (2 * radius + 1), 1.0)),
         error.reshape(len(shifts), 2 * _REACH, -1),
+        sigma.reshape(len(shifts), 2 * _REACH, -1),
     )

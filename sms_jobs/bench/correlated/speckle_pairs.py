@@ -7,17 +7,31 @@ pixel, the reference point that is there, without any interpolation.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.records.scene import CameraResponse, Speckle
+from sms_jobs.virtual_rig.laser_speckle import LaserSpeckle, laser_speckle, rough_light
+from sms_jobs.virtual_rig.light import SUBSAMPLES
+from sms_jobs.virtual_rig.speckle import speckle_image
+
+Pattern = Literal["blobs", "laser", "dots"]
+"""Gaussian blobs; the laser speckle of thesis section 4.3.3; dots as the virtual rig prints and sees them."""
 
 Displacement = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """From points of the reference (x, y) to their displacement (u, v), all in px."""
 
 BLOB_PX = 1.8
 """Standard deviation of a blob: at half the sampling rate its amplitude is 10^-7."""
+
+APERTURE = 1.0 / 16.0
+"""Radius of the aperture of laser speckle, in cycles a pixel, r0 / N of the thesis: 8 px wide."""
+DOT_PX = 10.0
+"""Mean diameter of a printed dot: the autocorrelation is then 6.6 px wide, that of blobs 6.0 px."""
 
 _REACH = 11  # px: a blob is exp(-18) there
 _MARGIN = 30  # px round the image, for what moves into it
@@ -121,10 +135,44 @@ def quadratic(size: int, curvature: float) -> Displacement:
     return field
 
 
-def halves(size: int, upper: float, lower: float, seed: int) -> tuple[Floats, Floats, NDArray[np.int32]]:
+def translated(
+    pattern: Pattern, size: int, u: float, v: float, seed: int, contrast: float = 400.0
+) -> tuple[Floats, Floats]:
+    """Return a square reference image and the same pattern moved by (u, v) px, about a grey level of 2000.
+
+    The values are exact: blobs and waves are known everywhere, and dots are drawn where they have moved to.
+    Dots alone have edges, of which lens and pixels leave detail that is finer than pixels can show. Laser
+    speckle that leaves the image enters it on the other side.
+    """
+    if pattern == "blobs":
+        return speckle_pair(size, shift(u, v), seed, contrast)
+    if pattern == "laser":
+        light = rough_light(LaserSpeckle(APERTURE, seed), size, size)
+        pair = laser_speckle(light), laser_speckle(light, u, v)
+    else:
+        pair = _seen_dots(size, 0.0, 0.0, seed), _seen_dots(size, u, v, seed)
+    scale, mean = contrast / pair[0].std(), pair[0].mean()
+    return 2000.0 + scale * (pair[0] - mean), 2000.0 + scale * (pair[1] - mean)
+
+
+def _seen_dots(size: int, u: float, v: float, seed: int) -> Floats:
+    """Return printed dots, moved by (u, v) px, as the virtual rig's camera sees them."""
+    margin = 4  # px: the lens's blur ends there
+    fine = SUBSAMPLES * (size + 2 * margin)
+    printed = speckle_image(
+        Speckle(DOT_PX, seed=seed), fine, fine, 1.0 / SUBSAMPLES, (-margin - u, -margin - v)
+    )
+    blurred = ndimage.gaussian_filter(printed, SUBSAMPLES * CameraResponse().blur_px)
+    pixels = blurred.reshape(size + 2 * margin, SUBSAMPLES, -1, SUBSAMPLES).mean(axis=(1, 3))
+    return np.asarray(pixels[margin:-margin, margin:-margin])
+
+
+def halves(
+    size: int, upper: float, lower: float, seed: int, pattern: Pattern = "blobs"
+) -> tuple[Floats, Floats, NDArray[np.int32]]:
     """Return a pair whose halves move along x by `upper` and `lower` px, and the labels 1 and 2 of them."""
     labels = np.ones((size, size), np.int32)
     labels[size // 2 :] = 2
-    reference, first = speckle_pair(size, shift(upper, 0.0), seed)
-    _, second = speckle_pair(size, shift(lower, 0.0), seed)
+    reference, first = translated(pattern, size, upper, 0.0, seed)
+    _, second = translated(pattern, size, lower, 0.0, seed)
     return reference, np.where(labels == 1, first, second), labels

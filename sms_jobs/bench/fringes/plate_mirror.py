@@ -91,7 +91,7 @@ class Plate:
             np.stack([f.amplitude for f in found]).astype(np.float32),
         )
         density_rms = float(np.sqrt(np.mean(np.square(sequence.densities))))
-        rule = PairingRule(volume.low, volume.high, 0.0, density_rms, least_gap=True)
+        rule = PairingRule(volume.low, volume.high, 0.0, density_rms, 0.0, least_gap=True)
         chosen = pair.choose(slice(0, rows), candidates, rule)
         omega, sigma = chosen.omega, chosen.omega_sigma
         known: Mask = np.asarray(np.isfinite(omega).all(axis=0))

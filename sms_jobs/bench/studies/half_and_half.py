@@ -22,13 +22,7 @@ _WAYS: tuple[tuple[Method, bool, str], ...] = (
 
 def by_distance(found: AboutEdge) -> tuple[np.ndarray, np.ndarray]:
     """Return the rms error in px and the part found, 0.5, 1.5 .. px from the edge, both sides together."""
-    half = len(found.distance) // 2
-    together = AboutEdge(
-        found.shifts,
-        found.distance[half:],
-        found.own_part[half:],
-        np.concatenate([found.error[:, half - 1 :: -1], found.error[:, half:]], axis=2),
-    )
+    together = found.folded()
     return together.rms(), together.found()
 
 

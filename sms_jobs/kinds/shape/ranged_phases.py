@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
 from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.ranging.harmonics import ghost_error
+from sms_jobs.metrology.phase.ranging.misfit import misfit_factor
+from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS
 from sms_jobs.metrology.phase.ranging.shared_amplitudes import ToldApart, close_signal, tell_apart
 from sms_jobs.metrology.phase.response import Response
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
@@ -87,6 +90,7 @@ def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> tuple[list[Re
     """Return the returns of every orientation, and where it is open which of two places they come from."""
     every = _ranged(task, known.transfers, known.responses if known.corrected else None, frames)
     every, ambiguous = _told_apart(task, known, frames, every)
+    every = _with_misfit(task, every)
     if known.corrected:
         return every, ambiguous
     sequence = task.measurement.sequence
@@ -213,6 +217,25 @@ def amplitude_spread(
     return max(float(np.sqrt(max(*squares, 0.0))), _LEAST_SPREAD)
 
 
+def _with_misfit(task: PhaseTask, every: list[Returns]) -> list[Returns]:
+    """Return the returns of all orientations with what is left beyond noise in their standard deviations.
+
+    Light that is not sharp in one orientation is not in another, where two close returns may hide that: the
+    largest factor holds for all.
+    """
+    limit = _noise_limit(task)
+    factors = [misfit_factor(f.residual, task.measurement.noise(f.mean_intensity), limit) for f in every]
+    largest = np.fmax.reduce(factors)
+    return [replace(f, omega_sigma=np.asarray(f.omega_sigma * largest, np.float32)) for f in every]
+
+
+def _noise_limit(task: PhaseTask) -> float:
+    """Return how many times its noise a pixel's phase error may be by noise alone."""
+    sequence, parameters = task.measurement.sequence, task.parameters
+    freedom = 2 * len(sequence.densities) - 2 * parameters.returns + 1
+    return phase_error_factor(freedom, parameters.kept_by_phase_error)
+
+
 def _with_ghosts(one: Returns, response: Response, sequence: FringeSequence) -> Singles:
     """Return the standard deviations of returns with what the harmonics left in them."""
     left = ghost_error(one.omega, one.amplitude, response, sequence.densities, sequence.steps)
@@ -237,6 +260,7 @@ def _paired(task: PhaseTask, rows: slice, found: list[Returns]) -> Pairing:
         high,
         gap_floor_mm=float(geometry.gap_sigma_mm(middle)[0, 0]),
         density_rms=float(np.sqrt(np.mean(densities**2))),
+        peak_rad=CLOSE_BINS * 2.0 * pi / len(densities),
         least_gap=parameters.pair_rule == "least-gap",
     )
     return geometry.pair.choose(rows, candidates, rule)
@@ -257,16 +281,14 @@ def _merged_sigma(task: PhaseTask, found: list[Returns], pairing: Pairing) -> Si
 
 def _range_reasons(task: PhaseTask, one: Returns, amplitude: Singles, error: Singles) -> Reasons:
     """Return the reasons for which the phases of one orientation are not to be trusted."""
-    sequence, parameters = task.measurement.sequence, task.parameters
-    freedom = 2 * len(sequence.densities) - 2 * parameters.returns + 1
     reason = noise_reasons(
         amplitude,
         error,
-        phase_error_factor(freedom, parameters.kept_by_phase_error),
+        _noise_limit(task),
         0.0,
         task.measurement.noise(one.mean_intensity),
-        sequence.steps,
-        parameters,
+        task.measurement.sequence.steps,
+        task.parameters,
     )
     mark(reason, one.saturated, Reason.SATURATED)
     mark(reason, (one.count == 0) & ~one.saturated, Reason.LOW_MODULATION)

@@ -15,6 +15,10 @@ meets the camera's ray in the mirror image of the point, with no gap and equal a
 volume refutes it; and where the detour lies in the epipolar plane of the camera's ray, its gap is as small
 as that of the direct light. One orientation has no gap at all: there the volume alone decides. The margin to
 the runner-up says how much better the chosen pair is, so that such pixels are known.
+
+Light from a patch of the projector's image, such as that of a surface out of focus, is a return that is
+spread. Ranging finds it as two sharp ones to either side of its middle, which fit it as well; where all
+returns of every orientation may be one such return, its middle is a runner-up, too.
 """
 
 from __future__ import annotations
@@ -22,31 +26,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.metrology.arrays import Floats, Ints, Singles
+from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.geometry.lens_kernels import undistorted
-from sms_jobs.metrology.geometry.triangulation import (
-    Projector,
-    closest,
-    closest_change,
-    packed,
-    triangulate,
-    turned,
+from sms_jobs.metrology.geometry.pair_likelihood import (
+    Pair,
+    Settings,
+    new_combination,
+    runner_up,
+    split,
+    take,
+    take_spread,
+    weigh,
 )
+from sms_jobs.metrology.geometry.triangulation import Projector, packed, triangulate
 from sms_jobs.metrology.phase.patterns import direction, span_px
 
 Labels = NDArray[np.uint16]
-Vector: TypeAlias = tuple[float, float, float]
-Settings: TypeAlias = tuple[float, float, float, float, float, float, bool]
-"""Gap of the calibration, rms density, tolerance and largest chi-square of amplitudes, penalty outside the
-volume, standard deviations of one place, whether the plain rule is to choose."""
-
 _MOST_COMBINATIONS = 4096
 _OUTSIDE = 1e3  # in log-likelihood: more than any gap of a pixel that would be kept
 _AMPLITUDE_TOLERANCE = 0.15  # the orientations' fringes are blurred differently by lenses and projector
@@ -84,6 +84,8 @@ class PairingRule:
     density_rms
         Root mean square of the fringe densities: an amplitude's relative standard deviation is this times
         that of omega.
+    peak_rad
+        Returns within this of each other may be one that is spread, in rad per fringe.
     least_gap
         True for the plain rule of the thesis: the least ray gap, whatever else speaks against it.
     """
@@ -92,6 +94,7 @@ class PairingRule:
     high: Sequence[float]
     gap_floor_mm: float
     density_rms: float
+    peak_rad: float
     least_gap: bool = False
 
 
@@ -110,7 +113,7 @@ class Pairing:
     margin
         (rows, columns), log-likelihood of the chosen combination above that of the best one that gives
         another point; infinite where there is no other. Negative where the thesis's rule chose against the
-        evidence.
+        evidence, or where one spread return explains more than all the sharp ones.
     """
 
     omega: Floats
@@ -121,105 +124,12 @@ class Pairing:
 
 
 @kernel
-def _split(combination: int, counts: Ints, which: Ints) -> None:
-    """Turn the number of a combination into a return of each orientation, the last counting fastest."""
-    for k in range(counts.size - 1, -1, -1):
-        which[k] = combination % counts[k]
-        combination //= counts[k]
-
-
-@kernel
-def _disagreement(
-    amplitude: Singles,
-    sigma: Floats,
-    which: Ints,
-    row: int,
-    column: int,
-    density_rms: float,
-    tolerance: float,
-) -> float:
-    """Return the chi-square of the logarithms of a combination's amplitudes about their weighted mean."""
-    weight_sum, mean, square = 0.0, 0.0, 0.0
-    for k in range(which.size):
-        strength = np.float64(amplitude[k, which[k], row, column])
-        spread = density_rms * sigma[k]
-        weight = 1.0 / (tolerance * tolerance + spread * spread)
-        logarithm = np.log(max(strength, 1e-6))
-        weight_sum += weight
-        mean += weight * logarithm
-        square += weight * logarithm * logarithm
-    return max(square - mean * mean / weight_sum, 0.0)
-
-
-@kernel
-def _weigh(
-    u: Vector,
-    omega: Floats,
-    sigma: Floats,
-    disagreement: float,
-    pair: tuple[Floats, Floats, Floats, Floats, Floats],
-    box: Floats,
-    settings: Settings,
-    inner: Floats,
-) -> tuple[float, float, float, float]:
-    """Return log-likelihood, gap in mm, and depth along the camera's ray u with its variance.
-
-    omega and sigma are those of one combination; `inner` is room for six numbers. The likelihood of rays
-    that do not meet is -infinity.
-    """
-    centres, lens, to_pixel, turn, to_omega = pair
-    base = (centres[1, 0] - centres[0, 0], centres[1, 1] - centres[0, 1], centres[1, 2] - centres[0, 2])
-    x, y = 0.0, 0.0
-    for k in range(omega.size):
-        x += to_pixel[0, k] * omega[k]
-        y += to_pixel[1, k] * omega[k]
-    inner[0], inner[1] = centres[2, 0] + x, centres[2, 1] + y
-    if not undistorted(lens, inner[:2], inner[2:]):
-        return -np.inf, np.inf, np.nan, np.nan
-    v = turned(turn, inner[2], inner[3], 1.0)
-    point, gap = closest(u, v, base, 0.0)
-    if not np.isfinite(gap):
-        return -np.inf, np.inf, np.nan, np.nan
-    variance, deep, evidence = settings[0] * settings[0], 0.0, min(disagreement, settings[3])
-    for k in range(omega.size):
-        px, py = to_pixel[0, k], to_pixel[1, k]
-        dv = turned(turn, inner[4] * px + inner[5] * py, inner[6] * px + inner[7] * py, 0.0)
-        moved, opened = closest_change(u, v, base, 0.0, dv)
-        along = moved[0] * u[0] + moved[1] * u[1] + moved[2] * u[2]
-        noise = sigma[k] * sigma[k]
-        variance += opened * opened * noise
-        deep += along * along * noise
-        off = to_omega[k, 0] * x + to_omega[k, 1] * y - omega[k]
-        evidence += off * off / noise
-    likelihood = -0.5 * (evidence + gap * gap / variance + np.log(variance))
-    for i in range(3):
-        place = centres[0, i] + point[i]
-        if place < box[0, i] or place > box[1, i]:
-            likelihood -= settings[4]
-            break
-    return likelihood, gap, point[0] * u[0] + point[1] * u[1] + point[2] * u[2], deep
-
-
-@kernel
-def _runner_up(
-    best: int, likelihood: Floats, depth: Floats, variance: Floats, count: int, one_place: float
-) -> float:
-    """Return the largest log-likelihood of a combination whose point is not that of the best."""
-    second = -np.inf
-    for c in range(count):
-        near = one_place * np.sqrt(variance[c] + variance[best])
-        if c != best and not abs(depth[c] - depth[best]) <= near:
-            second = max(second, likelihood[c])
-    return second
-
-
-@kernel
 def _choose_rows(
     rays: Floats,
     omega: Floats,
     sigma: Singles,
     amplitude: Singles,
-    pair: tuple[Floats, Floats, Floats, Floats, Floats],
+    pair: Pair,
     box: Floats,
     settings: Settings,
     block: tuple[int, int],
@@ -228,14 +138,13 @@ def _choose_rows(
     label: Labels,
     margin: Singles,
 ) -> None:
-    """Choose for a block of rows; `chosen_maps` is (2, orientations, rows, columns): sigma and amplitude.
-
-    `pair` is that of `packed` and the (orientations, 2) matrix from pixels to omega.
-    """
+    """Choose for a block of rows; `chosen_maps` is (2, orientations, rows, columns): sigma and amplitude."""
     orientations, returns = omega.shape[0], omega.shape[1]
     counts, which = np.empty(orientations, np.int64), np.empty(orientations, np.int64)
-    one, one_sigma, inner = np.empty(orientations), np.empty(orientations), np.empty(8)
-    most = returns**orientations
+    one = new_combination(orientations)
+    everywhere = np.empty((2, 3))
+    everywhere[0], everywhere[1] = -np.inf, np.inf
+    most = returns**orientations + 1  # and one that is spread
     likelihood, depth, variance = np.empty(most), np.empty(most), np.empty(most)
     for row in range(block[0], block[1]):
         for column in range(omega.shape[3]):
@@ -250,24 +159,26 @@ def _choose_rows(
             if combinations > 1:
                 u = (rays[row, column, 0], rays[row, column, 1], rays[row, column, 2])
                 for c in range(combinations):
-                    _split(c, counts, which)
-                    for k in range(orientations):
-                        one[k] = omega[k, which[k], row, column]
-                        one_sigma[k] = sigma[k, which[k], row, column]
-                    odd = _disagreement(amplitude, one_sigma, which, row, column, settings[1], settings[2])
-                    likelihood[c], gap, depth[c], variance[c] = _weigh(
-                        u, one, one_sigma, odd, pair, box, settings, inner
-                    )
+                    split(c, counts, which)
+                    take(omega, sigma, amplitude, which, (row, column), one)
+                    likelihood[c], gap, depth[c], variance[c] = weigh(u, one, pair, box, settings)
                     if settings[6] and abs(gap) < least_gap:
                         best, least_gap = c, abs(gap)
                     if not settings[6] and likelihood[c] > likelihood[best]:
                         best = c
-                second = _runner_up(best, likelihood, depth, variance, combinations, settings[5])
+                others = combinations
+                if take_spread(omega, sigma, amplitude, counts, (row, column), settings[7], one):
+                    # Outside the volume, too: the chosen one must not be valid for lying within.
+                    likelihood[others], _, depth[others], variance[others] = weigh(
+                        u, one, pair, everywhere, settings
+                    )
+                    others += 1
+                second = runner_up(best, likelihood, depth, variance, others, settings[5])
                 if second > -np.inf:
                     margin[row, column] = likelihood[best] - second
             which[:] = 0
             if combinations > 0:
-                _split(best, counts, which)
+                split(best, counts, which)
             number = 0
             for k in range(orientations):
                 number = number * returns + which[k]
@@ -314,7 +225,9 @@ def choose_returns(
 
     with var the variance of the gap from the noise of omega and the floor, chi2_a that of the logarithms of
     the amplitudes about their mean, with 15 % for unequal blur, and chi2_omega that of the residuals of
-    omega for M > 2. Its least-gap alternative is thesis section 7.2.3, with epsilon_1 of its Fig. 12.
+    omega for M > 2. The margin is also that above one return which is spread, where all of every orientation
+    lie within `peak_rad`: omega is their mean by amplitude, and no volume counts. The least-gap
+    alternative is thesis section 7.2.3, with epsilon_1 of its Fig. 12.
 
     Raises `InvalidInput` for parallel orientations and for more than 4096 combinations.
     """
@@ -338,6 +251,7 @@ def choose_returns(
         _OUTSIDE,
         _ONE_PLACE,
         bool(rule.least_gap),
+        float(rule.peak_rad),
     )
     chosen = np.empty((count, rows, columns))
     maps = np.empty((2, count, rows, columns), np.float32)

@@ -61,9 +61,26 @@ def test_patterns_follow_their_seed_and_mirror() -> None:
     np.testing.assert_array_equal(speckle_sheet(Sheet(40.0, 25.0, 1.0, 300, mirrored=True)), image[:, ::-1])
 
 
+def test_laser_speckle_is_as_wide_as_asked_in_all_greys() -> None:
+    sheet = Sheet(60.0, 45.0, 1.0, 300, pattern="laser")
+    image = speckle_sheet(sheet)
+    # The mean width of a thousand speckles scatters by 2 % (test_laser_speckle); light cut off at white
+    # makes the peak of the autocorrelation narrower by a few per cent.
+    assert speckle_width(image.astype(float), 0.0) * 25.4 / 300 == pytest.approx(1.0, abs=0.1)
+    # exp(-3) of the sheet is white, and 1 - exp(-0.3) of it has less than a tenth of that brightness.
+    assert (image == 255).mean() == pytest.approx(0.05, abs=0.02)
+    assert (image < 25.5).mean() == pytest.approx(0.26, abs=0.05)
+    assert len(np.unique(image)) == 256
+
+
 @pytest.mark.parametrize(
     ("sheet", "complaint"),
-    [(Sheet(40.0, 25.0, 0.1, 300), "fewer than 4"), (Sheet(4000.0, 2500.0, 1.0, 600), "million dots")],
+    [
+        (Sheet(40.0, 25.0, 0.1, 300), "fewer than 4"),
+        (Sheet(40.0, 25.0, 0.1, 300, pattern="laser"), "fewer than 4"),
+        (Sheet(4000.0, 2500.0, 1.0, 600), "million dots"),
+        (Sheet(40.0, 25.0, 13.0, 300, pattern="laser"), "choose 12.7 mm or less"),
+    ],
 )
 def test_what_cannot_be_printed_is_refused(sheet: Sheet, complaint: str) -> None:
     with pytest.raises(InvalidInput, match=complaint):

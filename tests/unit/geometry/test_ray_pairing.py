@@ -53,6 +53,7 @@ def choose(
     floor: float = 0.01,
     least_gap: bool = False,
     threads: int = 1,
+    peak: float = 0.0,
 ) -> Pairing:
     return choose_returns(
         CAMERA_POSE.centre(),
@@ -60,7 +61,7 @@ def choose(
         PROJECTOR,
         orientations,
         CandidateReturns(omega, np.full(omega.shape, SIGMA, np.float32), amplitude.astype(np.float32)),
-        PairingRule(*volume, gap_floor_mm=floor, density_rms=DENSITY_RMS, least_gap=least_gap),
+        PairingRule(*volume, floor, DENSITY_RMS, peak, least_gap),
         threads=threads,
     )
 
@@ -107,26 +108,38 @@ def test_direct_light_is_found_in_any_order_of_returns(
 def reference(
     omega: Floats, amplitude: Floats, orientations: tuple[float, ...], floor: float, volume: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return likelihood, gap, depth and its variance of each combination by plain triangulation of each."""
+    """Return likelihood, gap, depth and its variance of each combination by plain triangulation of each.
+
+    The last is that of one return which is spread: mean omega by amplitude, and no volume.
+    """
     tables = []
-    for which in product(range(omega.shape[1]), repeat=len(orientations)):
-        one = np.stack([omega[k, which[k]] for k in range(len(orientations))])
-        strength = np.stack([amplitude[k, which[k]] for k in range(len(orientations))]).astype(np.float32)
-        sigma = np.full(one.shape, SIGMA, np.float32)
+    light = amplitude.astype(np.float32).astype(np.float64)
+    spread_omega = np.sum(omega * light, axis=1) / light.sum(axis=1)
+    spread_sigma = SIGMA * light.min(axis=1) / light.sum(axis=1)
+    every = (*product(range(omega.shape[1]), repeat=len(orientations)), None)
+    for which in every:
+        if which is None:
+            one, strength, exact = spread_omega, light.sum(axis=1), spread_sigma
+        else:
+            one = np.stack([omega[k, which[k]] for k in range(len(orientations))])
+            strength = np.stack([light[k, which[k]] for k in range(len(orientations))])
+            exact = np.full(one.shape, np.float64(np.float32(SIGMA)))
+        sigma = exact.astype(np.float32)
         found = triangulate(CAMERA_POSE.centre(), RAYS, PROJECTOR, orientations, one, sigma)
         variance = floor**2 + found.ray_gap_sigma.astype(float) ** 2
         evidence = found.ray_gap.astype(float) ** 2 / variance + np.log(variance)
-        logarithm = np.log(strength.astype(float))
-        spread = 0.15**2 + (DENSITY_RMS * np.float64(np.float32(SIGMA))) ** 2
-        evidence += np.minimum(np.sum((logarithm - logarithm.mean(axis=0)) ** 2, axis=0) / spread, 9.0)
+        weight = 1.0 / (0.15**2 + (DENSITY_RMS * exact) ** 2)
+        logarithm = np.log(strength)
+        mean = np.sum(weight * logarithm, axis=0) / weight.sum(axis=0)
+        evidence += np.minimum(np.sum(weight * (logarithm - mean) ** 2, axis=0), 9.0)
         span = np.array([span_px(PROJECTOR.columns, PROJECTOR.rows, a) for a in orientations])
         matrix = np.array([direction(a) for a in orientations])
         pixels = np.linalg.lstsq(matrix, (one * span[:, None, None]).reshape(len(orientations), -1))[0]
         off = (matrix @ pixels / span[:, None]).reshape(one.shape) - one
-        evidence += np.sum(off**2, axis=0) / np.float64(np.float32(SIGMA)) ** 2
+        evidence += np.sum((off / exact) ** 2, axis=0)
         outside = ((found.xyz < volume[0][:, None, None]) | (found.xyz > volume[1][:, None, None])).any(
             axis=0
-        )
+        ) & (which is not None)
         likelihood = np.where(np.isnan(found.ray_gap), -np.inf, -0.5 * evidence - 1e3 * outside)
         depth = np.sum((np.moveaxis(found.xyz, 0, -1) - CAMERA_POSE.centre()) * RAYS, axis=-1)
         tables.append((likelihood, np.abs(found.ray_gap), depth, found.covariance[[0, 3, 5]].sum(axis=0)))
@@ -134,10 +147,11 @@ def reference(
     return likelihood, gap, depth, deep
 
 
+@pytest.mark.parametrize("peak", [0.0, 10.0])
 @pytest.mark.parametrize("least_gap", [False, True])
 @pytest.mark.parametrize("orientations", [CROSSED, (0.0, pi / 3, 2 * pi / 3)], ids=str)
 def test_the_kernel_is_the_slow_reference(
-    rng: np.random.Generator, orientations: tuple[float, ...], least_gap: bool
+    rng: np.random.Generator, orientations: tuple[float, ...], least_gap: bool, peak: float
 ) -> None:
     omega, amplitude, _ = lit_twice(rng, orientations)
     volume = np.array([[-1e4, -1e4, -60.0], [1e4, 1e4, 60.0]])
@@ -148,9 +162,15 @@ def test_the_kernel_is_the_slow_reference(
         (tuple(volume[0]), tuple(volume[1])),
         floor=0.05,
         least_gap=least_gap,
+        peak=peak,
     )
     likelihood, gap, depth, deep = reference(omega, amplitude, orientations, 0.05, volume)
-    best = np.argmin(np.where(np.isnan(gap), np.inf, gap), axis=0) if least_gap else likelihood.argmax(axis=0)
+    gap[-1] = np.inf  # what is spread is never chosen
+    likelihood[-1] = likelihood[-1] if peak else -np.inf
+    chosen_from = np.concatenate([likelihood[:-1], np.full_like(likelihood[-1:], -np.inf)])
+    best = (
+        np.argmin(np.where(np.isnan(gap), np.inf, gap), axis=0) if least_gap else chosen_from.argmax(axis=0)
+    )
     np.testing.assert_array_equal(found.label, best + 1)
     index = best[None]
     of_best = [np.take_along_axis(t, index, axis=0) for t in (likelihood, depth, deep)]
@@ -199,6 +219,47 @@ def test_two_candidates_of_one_place_are_no_ambiguity() -> None:
     omega = np.stack([point, point + 0.1 * SIGMA], axis=1)
     amplitude = np.full((2, 2, ROWS, COLUMNS), 300.0)
     assert np.isinf(choose(omega, amplitude).margin).all()
+
+
+DIAGONAL = (pi / 4, -pi / 4)
+BIN = 2.0 * pi / 64.0
+
+
+def split(along: float, across: float) -> tuple[Floats, Floats]:
+    """Return what looks like two equal returns, px of the projector to either side of a point's own light."""
+    pixels = project(PROJECTOR.intrinsics, PROJECTOR.pose, at_distance(np.full((ROWS, COLUMNS), 1050.0)))
+    off = np.array([along, across])
+    both = [
+        np.stack(
+            [phase_gradient(pixels + side * off, PROJECTOR.columns, PROJECTOR.rows, a) for a in DIAGONAL]
+        )
+        for side in (-1.0, 1.0)
+    ]
+    return np.stack(both, axis=1), np.full((2, 2, ROWS, COLUMNS), 300.0)
+
+
+def test_a_spread_return_is_not_taken_for_the_better_of_two(rng: np.random.Generator) -> None:
+    # Light about one point of the projector's image, along the epipolar lines but for a hundredth: both ends
+    # have gaps within a few deviations, of which noise makes one the likelier.
+    omega, amplitude = split(3.0, 0.03)
+    omega = omega + SIGMA * rng.standard_normal(omega.shape)
+    sharp, spread = (choose(omega, amplitude, DIAGONAL, floor=0.02, peak=p) for p in (0.0, 1.6 * BIN))
+    assert (sharp.margin > 3.0).mean() > 0.2
+    assert (spread.margin < 3.0).all()
+    np.testing.assert_array_equal(spread.label, sharp.label)
+    # Its middle counts outside the volume, too: what lies within for being wrong must not be trusted.
+    depth = at_distance(np.full((ROWS, COLUMNS), 1050.0))[..., 2].min()
+    cut = ((-1e4, -1e4, -1e4), (1e4, 1e4, float(depth)))
+    assert (choose(omega, amplitude, DIAGONAL, cut, floor=0.02, peak=1.6 * BIN).margin < 3.0).all()
+
+
+def test_two_close_returns_are_told_from_one_that_is_spread_by_the_gap(rng: np.random.Generator) -> None:
+    # Direct light and a detour, 6 px across the epipolar lines: half way between them the rays miss.
+    omega, amplitude = split(0.0, 3.0)
+    omega = omega - omega[:, :1] + split(0.0, 0.0)[0] + SIGMA * rng.standard_normal(omega.shape)
+    found = choose(omega, amplitude, DIAGONAL, floor=0.02, peak=1.6 * BIN)
+    assert (found.label == 1).all()
+    assert (found.margin > 3.0).all()
 
 
 def test_a_single_return_needs_no_choice_and_none_has_no_label() -> None:
