@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import pi, radians
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import AfterValidator, Field
@@ -11,7 +11,8 @@ from pydantic_core import PydanticCustomError
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.record_tables import Placement, Table, Volume, flat, mapped
 from sms_jobs.metrology.geometry.stage_poses import AngleRange, uniform_poses
-from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard, Place
+from sms_jobs.metrology.targets.patterns import goes_around, seam_pitches
+from sms_jobs.records.artefacts import Artefact, BallBar, Chessboard, CircleBoard, DotCylinder, Place
 from sms_jobs.records.campaign import CalibrationSession, LoadState
 from sms_jobs.records.scene import PanTilt, Rigid
 from sms_jobs.records.sensors import Rig, SensorFormat
@@ -20,7 +21,16 @@ from sms_jobs.records.views import place_of, role_of, view_of
 
 LONGEST_SIDE_PX = 20_000
 
-ARTEFACTS = (CircleBoard, Chessboard, BallBar)
+_STEEPEST_PITCH = 0.18
+"""Of the diameter: 20 degrees, of which five columns are seen less obliquely than 50 degrees."""
+
+_NEAREST_PITCHES, _WIDEST_PITCHES = 0.9, 1.5
+"""Across the seam of a cylinder: below, columns overlap; up to the second a lattice may step across."""
+
+_SEEN_WHOLE = 0.25
+"""Of the way around: what a camera sees less obliquely than 45 degrees."""
+
+ARTEFACTS = (CircleBoard, DotCylinder, Chessboard, BallBar)
 
 Pixels = Annotated[int, Field(ge=1, le=LONGEST_SIDE_PX)]
 _Artefact: TypeAlias = Annotated[Artefact, flat(*ARTEFACTS, tag="shape")]
@@ -104,7 +114,8 @@ class SessionTable(Table):
         """Return the artefact of a name, or any where there is none of that name."""
         if not self.artefacts:
             raise InvalidInput(
-                "session.artefacts is empty: describe a board or a ball bar under [session.artefacts.<name>]"
+                "session.artefacts is empty: describe a board, a cylinder or a ball bar under "
+                "[session.artefacts.<name>]"
             )
         return self.artefacts.get(name or "", next(iter(self.artefacts.values())))
 
@@ -174,11 +185,47 @@ def check_artefact(name: str, artefact: Artefact) -> None:
                 f"the spheres of {name}, of radius {artefact.radius_mm} mm, touch at a length of "
                 f"{artefact.length_mm} mm: length_mm is the distance of their centres"
             )
+    elif isinstance(artefact, DotCylinder):
+        _check_cylinder(name, artefact)
+        _check_circles(name, artefact)
     elif isinstance(artefact, CircleBoard):
         _check_circles(name, artefact)
 
 
-def _check_circles(name: str, board: CircleBoard) -> None:
+def _check_cylinder(name: str, cylinder: DotCylinder) -> None:
+    """Refuse a cylinder that its columns do not fit, or of which nobody can tell which part is seen."""
+    around, seam = pi * cylinder.diameter_mm, seam_pitches(cylinder)
+    if min(cylinder.columns, cylinder.rows) < 3:
+        raise InvalidInput(
+            f"{name} has {cylinder.columns} columns and {cylinder.rows} rows: a cylinder needs three of both"
+        )
+    if cylinder.pitch_mm > cylinder.diameter_mm * _STEEPEST_PITCH:
+        raise InvalidInput(
+            f"the pitch of {name}, {cylinder.pitch_mm:g} mm, is more than {_STEEPEST_PITCH:g} of its "
+            f"diameter of {cylinder.diameter_mm:g} mm, so that too few columns are seen: take a finer pitch"
+        )
+    if seam < _NEAREST_PITCHES:
+        raise InvalidInput(
+            f"{cylinder.columns} columns of {name} at a pitch of {cylinder.pitch_mm:g} mm need "
+            f"{cylinder.columns * cylinder.pitch_mm:g} mm around, and a diameter of "
+            f"{cylinder.diameter_mm:g} mm has {around:.4g} mm: correct columns, pitch_mm or diameter_mm"
+        )
+    if not goes_around(cylinder) and seam < _WIDEST_PITCHES:
+        raise InvalidInput(
+            f"the first and the last column of {name} are {seam:.2f} pitches apart across the seam, too near "
+            f"to tell from neighbours and too far to be some: leave a column out, or let "
+            f"{cylinder.columns} columns go around {cylinder.columns * cylinder.pitch_mm / pi:.4g} mm"
+        )
+    if cylinder.markers is None and (cylinder.columns - 1) * cylinder.pitch_mm > _SEEN_WHOLE * around:
+        raise InvalidInput(
+            f"no camera sees all {cylinder.columns} columns of {name}, and without markers nobody can tell "
+            "which of them it sees: give it markers"
+        )
+    if cylinder.markers is not None and len(cylinder.markers) < 3:
+        raise InvalidInput(f"{name} has {len(cylinder.markers)} markers: origin, x and y are the first three")
+
+
+def _check_circles(name: str, board: CircleBoard | DotCylinder) -> None:
     """Refuse a board with overlapping dots, or markers that define no axes or look like dots."""
     if board.markers is not None:
         _check_markers(name, board, board.markers)
@@ -190,7 +237,7 @@ def _check_circles(name: str, board: CircleBoard) -> None:
         )
 
 
-def _check_markers(name: str, board: CircleBoard, markers: tuple[Place, Place, Place]) -> None:
+def _check_markers(name: str, board: CircleBoard | DotCylinder, markers: tuple[Place, ...]) -> None:
     """Refuse markers that define no axes or look like dots."""
     for column, row in markers:
         if not (0 <= column < board.columns and 0 <= row < board.rows):
@@ -198,7 +245,7 @@ def _check_markers(name: str, board: CircleBoard, markers: tuple[Place, Place, P
                 f"the marker ({column}, {row}) of {name} is not on its {board.columns} x {board.rows} dots: "
                 "give columns and rows counted from 0"
             )
-    (column, row), (second, second_row), (third_column, third) = markers
+    (column, row), (second, second_row), (third_column, third) = markers[:3]
     if second_row != row or third_column != column or second == column or third == row:
         raise InvalidInput(
             f"the markers of {name} define no axes: the second must share the row of the first, the third "

@@ -1,8 +1,9 @@
-"""The things that a rig is calibrated with: boards of dots or squares, and the ball bar."""
+"""The things that a rig is calibrated with: boards of dots or squares, cylinders of dots, the ball bar."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Literal, TypeAlias
 
 Place: TypeAlias = tuple[int, int]
@@ -64,6 +65,55 @@ class CircleBoard:
     flatness_mm: float | None = None
     shape: Literal["circle-board"] = "circle-board"
 
+    @property
+    def diameter_mm(self) -> float:
+        """A flat board is a sheet about an infinite cylinder."""
+        return inf
+
+
+@dataclass(frozen=True)
+class DotCylinder:
+    """A cylinder with a regular grid of dots around its outside: a sheet as of a `CircleBoard`, wrapped.
+
+    Columns run around to the right as the cylinder is seen from outside, rows along its axis downwards. The
+    frame is that of the sheet where it touches at the first marker, or at place (0, 0): x runs around there,
+    y along the axis, and z = x cross y goes through the axis.
+
+    Attributes
+    ----------
+    columns, rows
+        Number of dots around and along the axis. The grid goes all around or leaves a seam without dots.
+    pitch_mm
+        Distance between the centres of neighbours, around measured along the outside.
+    dot_diameter_mm, marker, marker_diameter_mm, marker_hole_mm, ink, margin_mm, pitch_relative_sigma
+        See `CircleBoard`; a dot is a disc on the sheet.
+    diameter_mm
+        Of the outside on which the dots are.
+    markers
+        Places of the markers: origin, x and y as of a `CircleBoard`, then any number of others, by which a
+        camera that does not see the first three tells what it sees.
+    point_sigma_mm
+        Standard deviation of one dot's place on the cylinder, in each direction.
+    diameter_sigma_mm
+        Standard deviation of the diameter; None where nobody has told it: see `diameter_sigma_mm`.
+    """
+
+    columns: int
+    rows: int
+    pitch_mm: float
+    dot_diameter_mm: float
+    diameter_mm: float
+    markers: tuple[Place, ...] | None = None
+    marker: Literal["ring", "larger-dot"] = "ring"
+    marker_diameter_mm: float = 0.0
+    marker_hole_mm: float = 0.0
+    ink: Literal["dark", "bright"] = "dark"
+    margin_mm: float = 0.0
+    pitch_relative_sigma: float | None = None
+    point_sigma_mm: float = 0.002
+    diameter_sigma_mm: float | None = None
+    shape: Literal["dot-cylinder"] = "dot-cylinder"
+
 
 @dataclass(frozen=True)
 class Chessboard:
@@ -118,7 +168,8 @@ class BallBar:
 
 
 _UNKNOWN_FLATNESS = 2e-3
-"""Of the longer side: a print on a plate of aluminium or glass is flatter, one on cardboard may not be."""
+"""Of the longer side: a print on a plate of aluminium or glass is flatter, one on cardboard may not be.
+Of a diameter: drawn tubes are as good."""
 
 
 def bow_sigma_mm(board: CircleBoard | Chessboard) -> float:
@@ -128,4 +179,11 @@ def bow_sigma_mm(board: CircleBoard | Chessboard) -> float:
     return _UNKNOWN_FLATNESS * board.pitch_mm * (max(board.columns, board.rows) - 1)
 
 
-Artefact: TypeAlias = CircleBoard | Chessboard | BallBar
+def diameter_sigma_mm(cylinder: DotCylinder) -> float:
+    """Return the standard deviation of a cylinder's diameter, mm: 1/500 of it if not told."""
+    if cylinder.diameter_sigma_mm is not None:
+        return cylinder.diameter_sigma_mm
+    return _UNKNOWN_FLATNESS * cylinder.diameter_mm
+
+
+Artefact: TypeAlias = CircleBoard | DotCylinder | Chessboard | BallBar

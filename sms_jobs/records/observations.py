@@ -24,7 +24,7 @@ class BoardObservation:
     place
         Column and row of each point on the board.
     point
-        Where it is on the board, in the board's frame; z = 0.
+        Where it is on the board, in the board's frame; z = 0. Of a cylinder on its sheet, as if it were flat.
     camera_px, projector_px
         Its image in the camera and, through the phase, in the projector; for a dot the image of its
         centre, not the centre of its image. NaN for the projector of a camera alone.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.sensors import Rig
 from sms_jobs.records.views import View
 
@@ -147,6 +147,7 @@ Surface: TypeAlias = (
     | StiffenedPanel
     | PlateAndMirror
     | CircleBoard
+    | DotCylinder
     | Chessboard
     | BallBar
 )

@@ -13,7 +13,7 @@ import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
-from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.scene import Surface
 from sms_jobs.virtual_rig.artefacts import axes_of
 
@@ -27,25 +27,27 @@ _CORNER_LINES = 16
 
 
 def packed_ink(surface: Surface) -> Floats:
-    """Return what is printed on a surface as kernels take it, (17,).
+    """Return what is printed on a surface as kernels take it, (17,) or more.
 
     0 kind (0: no artefact), 1 reflectance of the ground, 2 of the ink, 3 pitch, 4 - 5 column and row of the
-    origin, 6 - 7 columns and rows, 8 radius of a dot, 9 - 10 outer and inner radius of a marker, 11 - 16
-    places of the markers, off the board where it has none.
+    patch's origin, 6 - 7 columns and rows, 8 radius of a dot, 9 - 10 outer and inner radius of a marker, 11
+    and on places of the markers, off the board where it has none.
     """
     ink = np.zeros(17)
     if isinstance(surface, BallBar):
         ink[:3] = PLAIN, BRIGHT, BRIGHT
     elif isinstance(surface, Chessboard):
         ink[:8] = SQUARES, BRIGHT, DARK, surface.pitch_mm, 0, 0, surface.columns, surface.rows
-    elif isinstance(surface, CircleBoard):
+    elif isinstance(surface, CircleBoard | DotCylinder):
         axes = axes_of(surface)
         tones = (BRIGHT, DARK) if surface.ink == "dark" else (DARK, BRIGHT)
-        grid = (surface.pitch_mm, axes.column, axes.row, surface.columns, surface.rows)
+        around = isinstance(surface, DotCylinder)
+        column = 0.5 * (surface.columns - 1) if around else axes.column
+        grid = (surface.pitch_mm, column, axes.row, surface.columns, surface.rows)
         hole = surface.marker_hole_mm if surface.marker == "ring" else 0.0
         radii = (surface.dot_diameter_mm / 2.0, surface.marker_diameter_mm / 2.0, hole / 2.0)
         markers = surface.markers or ((-1, -1),) * 3
-        ink[:] = DOTS, *tones, *grid, *radii, *np.ravel(markers)
+        return np.array([DOTS, *tones, *grid, *radii, *np.ravel(markers)], dtype=np.float64)
     return ink
 
 
@@ -66,7 +68,7 @@ def printed_reflectance(ink: Floats, a: float, b: float, ax: float, ay: float, b
         return float(ink[1])
     a, b = (right - column) * ink[3], (row - down) * ink[3]
     outer, inner = ink[8], 0.0
-    for m in range(11, 17, 2):
+    for m in range(11, len(ink), 2):
         if column == ink[m] and row == ink[m + 1]:
             outer, inner = ink[9], ink[10]
     share = disc_share(a, b, ax, ay, bx, by, outer)

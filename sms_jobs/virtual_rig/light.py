@@ -31,7 +31,7 @@ from sms_jobs.virtual_rig.rays import (
     unobstructed,
 )
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance
-from sms_jobs.virtual_rig.surfaces import patch_coordinates
+from sms_jobs.virtual_rig.surfaces import CYLINDER, patch_coordinates, patch_normal
 from sms_jobs.virtual_rig.windows import image_windows
 
 SUBSAMPLES = 2
@@ -210,7 +210,7 @@ def footprint_sides(
     ny: float,
     nz: float,
 ) -> tuple[float, float, float, float]:
-    """Return the sides of a sub-sample's square as seen on a flat patch, s along its ray d, normal n.
+    """Return the sides of a sub-sample's square as seen on a plane or cylinder, s along its ray d, normal n.
 
     d(a)/dx, d(a)/dy, d(b)/dx and d(b)/dy in mm for a step of one sub-sample; lens distortion, which
     stretches a sub-sample by less than a hundredth, is left out.
@@ -223,7 +223,7 @@ def footprint_sides(
         scale = depth / (camera[axis] * SUBSAMPLES)
         ex, ey, ez = camera[4 + 3 * axis], camera[5 + 3 * axis], camera[6 + 3 * axis]
         along = (nx * ex + ny * ey + nz * ez) / facing
-        _, _, _, vx, vy, vz, _ = followed_back(
+        mx, my, mz, vx, vy, vz, _ = followed_back(
             specimen.chain,
             camera[16] + s * dx,
             camera[17] + s * dy,
@@ -232,8 +232,13 @@ def footprint_sides(
             scale * (ey - along * dy),
             scale * (ez - along * dz),
         )
-        a = row[4] * vx + row[5] * vy + row[6] * vz
         b = row[7] * vx + row[8] * vy + row[9] * vz
+        if row[0] == CYLINDER:
+            ux, uy, uz = patch_normal(row, mx, my, mz)
+            a = (row[8] * uz - row[9] * uy) * vx + (row[9] * ux - row[7] * uz) * vy
+            a += (row[7] * uy - row[8] * ux) * vz
+        else:
+            a = row[4] * vx + row[5] * vy + row[6] * vz
         sides = (a, sides[1], b, sides[3]) if axis == 0 else (sides[0], a, sides[2], b)
     return sides
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import uncounted_kernel
-from sms_jobs.records.artefacts import BallBar
+from sms_jobs.records.artefacts import BallBar, DotCylinder
 from sms_jobs.records.scene import (
     Cylinder,
     Plane,
@@ -32,7 +32,7 @@ from sms_jobs.records.scene import (
     TopHat,
     Vector,
 )
-from sms_jobs.virtual_rig.artefacts import Board, axes_of, bar_centres, edges_mm
+from sms_jobs.virtual_rig.artefacts import Board, axes_of, axis_of, bar_centres, edges_mm, outwards
 
 PLANE, CYLINDER, SPHERE = 0, 1, 2
 X_AXIS: Vector = (1.0, 0.0, 0.0)
@@ -135,6 +135,8 @@ def patches_of(surface: Surface) -> tuple[Patch, ...]:
             _ball(number, (float(x), float(y), float(z)), surface.radius_mm)
             for number, (x, y, z) in enumerate(bar_centres(surface), start=1)
         )
+    if isinstance(surface, DotCylinder):
+        return (_dot_cylinder(surface),)
     return (_board(surface),)
 
 
@@ -177,6 +179,22 @@ def _board(board: Board) -> Patch:
     left, right, bottom, top = edges_mm(board)
     along_a, along_b = (axes.x_right, 0.0, 0.0), (0.0, -axes.y_down, 0.0)
     return Patch(1, (0.0, 0.0, 0.0), along_a, along_b, (left, right), (bottom, top))
+
+
+def _dot_cylinder(cylinder: DotCylinder) -> Patch:
+    """Return the whole outside; (a, b) run to the right from the middle of the columns, and up."""
+    axes = axes_of(cylinder)
+    _, _, bottom, top = edges_mm(cylinder)
+    middle = (0.5 * (cylinder.columns - 1) - axes.column) * axes.x_right * cylinder.pitch_mm
+    ((x, _, z),) = outwards(cylinder, np.array([middle])).tolist()
+    up = -axes.y_down
+    _, _, depth = axis_of(cylinder).tolist()
+    half = pi * cylinder.diameter_mm / 2.0
+    return Patch(
+        *(1, (0.0, 0.0, depth), (up * z, 0.0, -up * x), (0.0, up, 0.0), (-half, half), (bottom, top)),
+        kind=CYLINDER,
+        radius=cylinder.diameter_mm / 2.0,
+    )
 
 
 def _plate_with_hole_and_step(surface: PlateWithHoleAndStep) -> tuple[Patch, ...]:

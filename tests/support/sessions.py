@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import timedelta
+from math import pi
 
-from sms_jobs.records.artefacts import BallBar, CircleBoard
-from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.sensors import Box, Rig
-from sms_jobs.virtual_rig.campaigns import BENDING_VOLUME, START, Lens, Size, aimed, bending_rig
+import numpy as np
+
+from sms_jobs.records.artefacts import BallBar, CircleBoard, DotCylinder
+from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
+from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.scene import CameraResponse, Rigid, Scene, Vector
+from sms_jobs.records.sensors import Box, Rig, Sensor, SensorFormat
+from sms_jobs.records.views import Role
+from sms_jobs.virtual_rig.campaigns import (
+    BENDING_PROJECTOR,
+    BENDING_VOLUME,
+    START,
+    Lens,
+    Size,
+    aimed,
+    bending_rig,
+)
 from sms_jobs.virtual_rig.sessions import (
     BAR,
     BOARD,
@@ -82,3 +96,43 @@ def small_session(name: str) -> Campaign:
     ]
     volume = Box((-130.0, -130.0, -130.0), (130.0, 130.0, 130.0))
     return session_of(name, Rig("small-session-rig", sensors), states, (SMALL_BOARD, SMALL_BAR), volume)
+
+
+TUBE = DotCylinder(
+    *(40, 13, 6.0, 3.3, 80.0, ((18, 4), (22, 4), (18, 8)), "ring", 4.2, 1.8),
+    diameter_sigma_mm=0.1,
+)
+
+
+def cylinder_session(
+    name: str, sensors: tuple[Sensor, ...], turns_rad: tuple[Vector, ...], tube: DotCylinder = TUBE
+) -> Campaign:
+    """Return a session of a cylinder that stands upright about the world's origin, turned in each pose.
+
+    States B01, ...; the first marker faces the sensors, at +Z, where no turn says otherwise. Every camera is
+    a view with each projector, or alone.
+    """
+    rig = Rig(f"{name}-rig", sensors)
+    home = Rigid((pi, 0.0, 0.0), (0.0, 2.0 * tube.pitch_mm, 0.5 * tube.diameter_mm))
+    shifts = np.random.default_rng(11).uniform(-1.0, 1.0, (len(turns_rad), 3)) * [12.0, 8.0, 25.0]
+    shifts[0] = 0.0
+    states = tuple(
+        LoadState(
+            f"B{number:02d}",
+            time=START + number * POSE_TIME,
+            deformation=(home, Rigid(turn, (float(x), float(y), float(z)))),
+            artefact="tube",
+        )
+        for number, (turn, (x, y, z)) in enumerate(zip(turns_rad, shifts, strict=True), start=1)
+    )
+    session = CalibrationSession(
+        {"tube": tube},
+        tuple(SensorFormat(s.name, s.columns, s.rows) for s in sensors),
+        Box((-40.0, -40.0, -20.0), (40.0, 40.0, 50.0)),
+        home,
+    )
+    scene = Scene(rig, tube, camera=CameraResponse(exposure=0.75), projector=BENDING_PROJECTOR, seed=4)
+    projectors = [s.name for s in sensors if s.role is Role.PROJECTOR]
+    cameras = [s.name for s in sensors if s.role is Role.CAMERA]
+    views = tuple(c + p for c in cameras for p in projectors or ("",))
+    return Campaign(name, Specimen("tube"), rig.name, states, views, FringeSequence(), scene, session=session)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import project
-from sms_jobs.records.artefacts import Chessboard, CircleBoard
+from sms_jobs.records.artefacts import Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.virtual_rig.artefact_truth import placed_points
-from sms_jobs.virtual_rig.artefacts import Board, axes_of, board_points
+from sms_jobs.virtual_rig.artefacts import board_normals, board_points
 from sms_jobs.virtual_rig.light import sensor_named
 
 
@@ -45,12 +45,6 @@ class TrueBoard:
     seen: Mask
 
 
-def board_normal(board: Board) -> Floats:
-    """Return the unit vector, in the board's frame, that points from its front towards who looks at it."""
-    axes = axes_of(board)
-    return np.array([0.0, 0.0, -axes.x_right * axes.y_down])
-
-
 def true_board(simulation: Simulation) -> TrueBoard:
     """Return the exact points of the board in a simulated measurement.
 
@@ -60,11 +54,11 @@ def true_board(simulation: Simulation) -> TrueBoard:
         When what stands there is no board.
     """
     board = simulation.scene.surface
-    if not isinstance(board, CircleBoard | Chessboard):
+    if not isinstance(board, CircleBoard | DotCylinder | Chessboard):
         raise InvalidInput(f"state {simulation.state} shows no board but a {board.shape}; name one that does")
     place, point = board_points(board)
     world = placed_points(simulation.scene, simulation.deformation, point)
-    ahead = placed_points(simulation.scene, simulation.deformation, point + board_normal(board))
+    ahead = placed_points(simulation.scene, simulation.deformation, point + board_normals(board))
     images = {}
     seen = np.ones(len(place), np.bool_)
     for name in filter(None, (simulation.camera, simulation.projector)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from math import pi, radians
 
 import numpy as np
@@ -17,7 +18,7 @@ from sms_jobs.formats.configuration import (
     parse_campaign,
 )
 from sms_jobs.kinds.recording.simulate import recipe
-from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard
+from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard, DotCylinder, diameter_sigma_mm
 from sms_jobs.records.scene import PanTilt, Rigid, Simulation
 from sms_jobs.records.sensors import SensorFormat
 from sms_jobs.records.subject import Subject
@@ -277,3 +278,59 @@ def test_cameras_without_a_projector_look_at_boards_one_by_one() -> None:
         ConfigurationError, match=r"C1C2 has no place in a calibration session.*\['C1', 'C2'\]"
     ):
         parse_campaign('views = ["C1C2"]\n' + text, "session.toml")
+
+
+CYLINDER = """
+name = "tube-1"
+rig = "ring"
+views = ["C1", "C2"]
+specimen = { name = "tube 1" }
+session.sensors = [{ name = "C1", columns = 2048, rows = 2048 }, { name = "C2", columns = 2048, rows = 2048 }]
+
+[session.artefacts.tube]
+shape = "dot-cylinder"
+columns = 40
+rows = 13
+pitch_mm = 6.0
+dot_diameter_mm = 3.3
+diameter_mm = 80.0
+diameter_sigma_mm = 0.05
+markers = [[8, 4], [12, 4], [8, 8], [28, 4], [33, 4], [28, 8]]
+marker_diameter_mm = 4.2
+marker_hole_mm = 1.8
+
+[[states]]
+label = "B01"
+artefact = "tube"
+"""
+
+
+def test_a_cylinder_of_dots_is_an_artefact() -> None:
+    session = parse_campaign(CYLINDER, "tube.toml").campaign.session
+    assert session is not None
+    tube = session.artefacts["tube"]
+    assert isinstance(tube, DotCylinder)
+    assert tube.markers == ((8, 4), (12, 4), (8, 8), (28, 4), (33, 4), (28, 8))
+    assert diameter_sigma_mm(tube) == 0.05
+    # 1/500 where nobody has told it.
+    assert diameter_sigma_mm(replace(tube, diameter_sigma_mm=None)) == pytest.approx(0.16)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("columns = 40", "columns = 43", "43 columns of tube at a pitch of 6 mm need 258 mm around"),
+        ("pitch_mm = 6.0", "pitch_mm = 6.25", "are 1.21 pitches apart across the seam"),
+        ("diameter_mm = 80.0", "diameter_mm = 30.0", "is more than 0.18 of its diameter"),
+        ("rows = 13", "rows = 2", "needs three of both"),
+        ("diameter_mm = 80.0", "diameter_mm = 0.0", "diameter_mm"),
+        ("diameter_sigma_mm = 0.05", "diameter_sigma_mm = 0.0", "diameter_sigma_mm"),
+        ("[12, 4]", "[12, 5]", "the markers of tube define no axes"),
+        ("[28, 8]]", "[28, 13]]", "the marker (28, 13) of tube is not on its 40 x 13 dots"),
+        ("[[8, 4], [12, 4], [8, 8], [28, 4], [33, 4], [28, 8]]", "[[8, 4], [12, 4]]", "has 2 markers"),
+        ("markers = [[8, 4], [12, 4], [8, 8], [28, 4], [33, 4], [28, 8]]\n", "", "without markers nobody"),
+    ],
+)
+def test_a_cylinder_that_cannot_be_is_refused(old: str, new: str, why: str) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(why)):
+        changed(old, new, CYLINDER)

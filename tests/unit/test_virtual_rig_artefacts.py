@@ -8,7 +8,7 @@ from math import pi, radians
 import numpy as np
 import pytest
 from scipy import ndimage
-from support.true_boards import board_normal, true_board
+from support.true_boards import true_board
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import pixel_grid, project, ray_directions
@@ -27,7 +27,7 @@ from sms_jobs.records.scene import (
 )
 from sms_jobs.records.sensors import Rig
 from sms_jobs.virtual_rig.artefact_truth import placed_points, true_bar
-from sms_jobs.virtual_rig.artefacts import axes_of, bar_centres, board_points
+from sms_jobs.virtual_rig.artefacts import axes_of, bar_centres, board_normals, board_points
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, aimed
 from sms_jobs.virtual_rig.ink import BRIGHT, DARK, disc_share, edge_share
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
@@ -90,11 +90,11 @@ def test_the_markers_place_the_axes_of_a_board() -> None:
     assert at[3, 1] == [60.0, 0.0, 0.0]
     assert at[1, 3] == [0.0, 60.0, 0.0]
     # x right and y down: z = x cross y points into the board.
-    assert board_normal(BOARD).tolist() == [0.0, 0.0, -1.0]
+    assert np.all(board_normals(BOARD) == [0.0, 0.0, -1.0])
     upwards = replace(BOARD, markers=((3, 3), (1, 3), (3, 1)))
     assert (axes_of(upwards).x_right, axes_of(upwards).y_down) == (-1.0, -1.0)
     mirrored = replace(BOARD, markers=((1, 3), (3, 3), (1, 1)))
-    assert board_normal(mirrored).tolist() == [0.0, 0.0, 1.0]
+    assert np.all(board_normals(mirrored) == [0.0, 0.0, 1.0])
     assert board_points(CHESSBOARD)[1][-1].tolist() == [120.0, 90.0, 0.0]
     with pytest.raises(InvalidInput, match="define no axes"):
         board_points(replace(BOARD, markers=((1, 1), (3, 2), (1, 3))))

@@ -18,19 +18,19 @@ from sms_jobs.formats.interchange.text_files import read_text
 from sms_jobs.formats.record_tables import flat
 from sms_jobs.formats.session_tables import check_artefact
 from sms_jobs.formats.written_files import read_toml, validated
-from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
+from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.sensors import Box, SensorFormat
 
 BOARD = "board"
 """What the board of a session is called that is made from images."""
 
-_Board: TypeAlias = CircleBoard | Chessboard
+_Board: TypeAlias = CircleBoard | DotCylinder | Chessboard
 _SIZE = re.compile(r"(\d{1,3})x(\d{1,3})")
 _LONGEST = 200
 
 
-class _BoardFile(RootModel[Annotated[_Board, flat(CircleBoard, Chessboard, tag="shape")]]):
+class _BoardFile(RootModel[Annotated[_Board, flat(CircleBoard, DotCylinder, Chessboard, tag="shape")]]):
     """A file that describes one board."""
 
 

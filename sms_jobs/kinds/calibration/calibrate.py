@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.calibration.calibrate_boards import LAST, PAGE, CalibrateParameters, adjusted, from_last
-from sms_jobs.kinds.calibration.session_adjustment import Boards, Start, rigid_pose, start_from_last
+from sms_jobs.kinds.calibration.seen_boards import Boards
+from sms_jobs.kinds.calibration.session_adjustment import Start, rigid_pose, start_from_last
 from sms_jobs.kinds.calibration.session_doubts import alike_numbered
 from sms_jobs.kinds.calibration.sessions import (
     CALIBRATE,
@@ -77,15 +78,15 @@ def _start(inputs: Inputs, plan: SessionPlan, boards: Boards) -> Start:
     """
     first = inputs.read(START, CALIBRATED) if inputs.has(START) else None
     if inputs.has(LAST):
-        last = from_last(inputs, boards)
+        last = from_last(inputs, plan, boards)
         if first is None:
             return last
         poses = {s.name: s.pose for s in first.rig.sensors}
         sensors = tuple(replace(s, pose=poses[s.name]) for s in last.rig.sensors)
-        placed = start_from_last(first, None, None, boards).boards
+        placed = start_from_last(plan, first, None, None, boards).boards
         return replace(last, rig=replace(last.rig, sensors=sensors), boards=placed)
     assert first is not None
-    found = start_from_last(first, None, None, boards)
+    found = start_from_last(plan, first, None, None, boards)
     if not boards:
         return found
     world = next(p.label for p in plan.poses if p.label in boards)

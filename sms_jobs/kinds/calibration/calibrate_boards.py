@@ -30,11 +30,10 @@ from sms_jobs.kinds.calibration.held_parameters import (
     parted,
     values_of,
 )
+from sms_jobs.kinds.calibration.seen_boards import Boards, board_views
 from sms_jobs.kinds.calibration.session_adjustment import (
     Bars,
-    Boards,
     Start,
-    board_views,
     calibration_of,
     problem_of,
     quality_of,
@@ -139,15 +138,16 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
     plan: SessionPlan = inputs.context
     boards = observed(inputs, plan, OBSERVED_BOARDS, BOARD)
     progress(0.1, "looking for first values")
-    start = from_last(inputs, boards) if inputs.has(LAST) else _from_nothing(plan, boards, parameters)
+    start = from_last(inputs, plan, boards) if inputs.has(LAST) else _from_nothing(plan, boards, parameters)
     progress(0.3, "adjusting all sensors and boards together")
     origin = f"boards of session {plan.name}"
     yield from adjusted(inputs, plan, start, boards, {}, parameters, progress, origin)
 
 
-def from_last(inputs: Inputs, boards: Boards) -> Start:
+def from_last(inputs: Inputs, plan: SessionPlan, boards: Boards) -> Start:
     """Return the start from the last calibration, and what it knew of the lenses."""
     return start_from_last(
+        plan,
         inputs.read(LAST, CALIBRATED),
         inputs.read(LAST, UNCERTAINTY) if inputs.has(LAST, UNCERTAINTY) else None,
         inputs.read(LAST, QUALITY) if inputs.has(LAST, QUALITY) else None,
@@ -156,7 +156,7 @@ def from_last(inputs: Inputs, boards: Boards) -> Start:
 
 
 def _from_nothing(plan: SessionPlan, boards: Boards, parameters: CalibrateParameters) -> Start:
-    views = board_views(boards)
+    views = board_views(plan, boards)
     world = next((p.label for p in plan.poses if p.label in boards), "")
     if not any(v.pose == world for v in views):
         reasons = {

@@ -26,7 +26,7 @@ from sms_jobs.metrology.targets.boards import find_board
 from sms_jobs.metrology.targets.chessboards import find_chessboard
 from sms_jobs.metrology.targets.patterns import BoardPoints
 from sms_jobs.metrology.targets.projector_points import ProjectorPoints, carry_to_projector
-from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard
+from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import SensorFormat
@@ -124,7 +124,7 @@ def _observation(shown: BoardShown, found: BoardPoints, carried: ProjectorPoints
 
 
 def _found(picture: np.ndarray, board: Artefact, threads: int) -> BoardPoints:
-    if isinstance(board, CircleBoard):
+    if isinstance(board, CircleBoard | DotCylinder):
         return find_board(picture, board, threads=threads)
     assert isinstance(board, Chessboard)
     return find_chessboard(picture, board.columns, board.rows, board.pitch_mm, threads=threads)

@@ -9,9 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sms_jobs.errors import CalibrationFailed
+from sms_jobs.kinds.calibration.seen_boards import Boards, board_views, told_board
 from sms_jobs.kinds.calibration.sessions import SessionPlan
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
+from sms_jobs.metrology.calibration.board_views import Refusal
 from sms_jobs.metrology.calibration.bundle.covariance import point_covariance
 from sms_jobs.metrology.calibration.bundle.cross_validation import CrossValidation
 from sms_jobs.metrology.calibration.bundle.problem import (
@@ -20,7 +21,6 @@ from sms_jobs.metrology.calibration.bundle.problem import (
     BoardPoints,
     BoardPose,
     BundleBar,
-    BundleBoard,
     BundleProblem,
     BundleSensor,
     SensorPrior,
@@ -32,7 +32,8 @@ from sms_jobs.metrology.calibration.starting.sensor_start import seen_pose, usab
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import transform
-from sms_jobs.records.artefacts import BallBar, bow_sigma_mm
+from sms_jobs.metrology.geometry.wrapped_sheets import in_space
+from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty, Estimate
 from sms_jobs.records.observations import BarObservation, BoardObservation
 from sms_jobs.records.scene import Rigid
@@ -40,12 +41,9 @@ from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import Role, role_of, view_of
 
-Boards = Mapping[str, Sequence[BoardObservation]]
-"""What views observed of a board, by pose."""
 Bars = Mapping[str, Sequence[BarObservation]]
 
 _OUTER = 6  # parameters of a sensor that place it
-_UNKNOWN_PITCH = 0.01  # relative: what a bar is left to tell of a pitch that nobody has stated
 _GRID = 7  # places along each side of the volume at which the expected deviation is given
 
 
@@ -95,32 +93,6 @@ def refusals(refused: Iterable[Refusal]) -> dict[str, int]:
     return counts
 
 
-def board_views(boards: Boards) -> list[BoardView]:
-    """Return what every sensor saw of the board in each pose; what several views saw of it is averaged."""
-    views = []
-    for pose, observations in boards.items():
-        seen: dict[str, list[tuple[BoardObservation, Floats, Floats]]] = {}
-        for one in observations:
-            if len(one.point):
-                seen.setdefault(one.camera, []).append((one, one.camera_px, one.camera_sigma_px))
-                if one.projector:
-                    seen.setdefault(one.projector, []).append((one, one.projector_px, one.projector_sigma_px))
-        views += [_averaged(sensor, pose, parts) for sensor, parts in seen.items()]
-    return views
-
-
-def _averaged(sensor: str, pose: str, parts: Sequence[tuple[BoardObservation, Floats, Floats]]) -> BoardView:
-    place = np.concatenate([one.place for one, _, _ in parts])
-    point = np.concatenate([one.point for one, _, _ in parts])
-    pixel = np.concatenate([p for _, p, _ in parts])
-    weight = 1.0 / np.concatenate([s for _, _, s in parts]) ** 2
-    _, first, which = np.unique(place, axis=0, return_index=True, return_inverse=True)
-    which = which.reshape(-1)
-    total = np.bincount(which, weight)
-    mean = np.stack([np.bincount(which, weight * pixel[:, k]) / total for k in (0, 1)], axis=-1)
-    return BoardView(sensor, pose, point[first], mean, 1.0 / np.sqrt(total))
-
-
 def rigid_pose(motion: Rigid) -> Pose:
     """Return a rigid motion as a pose: X = R x + T."""
     return Pose.from_arrays(
@@ -138,6 +110,7 @@ def start_of_rig(plan: SessionPlan, sensors: Mapping[str, tuple[Intrinsics, Pose
 
 
 def start_from_last(
+    plan: SessionPlan,
     last: Calibration,
     uncertainty: CalibrationUncertainty | None,
     quality: CalibrationQuality | None,
@@ -151,12 +124,12 @@ def start_from_last(
     sensors = {s.name: s for s in last.rig.sensors}
     poses: dict[str, Pose] = {}
     bent = [s.name for s in last.rig.sensors if s.intrinsics.model != "plain"]
-    usable, refused = usable_views([v for v in board_views(boards) if v.sensor in sensors], bent)
+    usable, refused = usable_views([v for v in board_views(plan, boards) if v.sensor in sensors], bent)
     for view, _ in sorted(usable, key=lambda seen: -len(seen[0].point)):
         if view.pose in poses:
             continue
         sensor = sensors[view.sensor]
-        seen = seen_pose(sensor.intrinsics, view.point, view.pixel)
+        seen = seen_pose(sensor.intrinsics, view.in_space, view.pixel)
         turn = sensor.pose.matrix().T
         poses[view.pose] = Pose.from_arrays(
             turn @ seen.matrix(), turn @ (np.array(seen.translation) - np.array(sensor.pose.translation))
@@ -208,7 +181,9 @@ def problem_of(
     number = {s.name: k for k, s in enumerate(start.rig.sensors)}
     board_names = tuple(dict.fromkeys(o.artefact for seen in boards.values() for o in seen))
     bar_names = tuple(dict.fromkeys(o.artefact for seen in bars.values() for o in seen))
-    views = [v for v in board_views(boards) if (v.sensor, v.pose) in start.usable and v.pose in start.boards]
+    views = [
+        v for v in board_views(plan, boards) if (v.sensor, v.pose) in start.usable and v.pose in start.boards
+    ]
     poses = list(dict.fromkeys(v.pose for v in views))
     if start.world is not None and start.world not in poses:
         raise CalibrationFailed(
@@ -220,7 +195,7 @@ def problem_of(
     bar_poses = [pose for pose, c in centres.items() if np.isfinite(c).any()]
     return BundleProblem(
         sensors,
-        tuple(_board(plan, start, name, views, bool(bar_names)) for name in board_names),
+        tuple(told_board(plan, name, start.pitch.get(name), views, bool(bar_names)) for name in board_names),
         tuple(_bar(plan, name) for name in bar_names),
         tuple(BoardPose(p, board_names.index(artefact_of[p]), start.boards[p]) for p in poses),
         tuple(BarPose(p, bar_names.index(artefact_of[p]), centres[p]) for p in bar_poses),
@@ -264,29 +239,6 @@ def _fixed(start: Start, sensor: Sensor, fixed: tuple[str, ...]) -> tuple[str, .
     return (*_PLACED, *fixed) if holds else fixed
 
 
-def _board(
-    plan: SessionPlan, start: Start, name: str, views: Sequence[BoardView], with_bar: bool
-) -> BundleBoard:
-    """Return a board as it is told; a pitch that nobody has stated is nominal unless a bar can tell it."""
-    board = plan.session.artefacts[name]
-    assert not isinstance(board, BallBar)
-    scale, relative = start.pitch.get(name, (1.0, board.pitch_relative_sigma))
-    if relative is None:
-        relative = _UNKNOWN_PITCH if with_bar else 0.0
-    shown = {p.label for p in plan.poses if p.artefact == name}
-    points = scale * np.concatenate([np.empty((0, 3)), *(v.point for v in views if v.pose in shown)])
-    if not len(points):
-        return BundleBoard(name, relative, board.point_sigma_mm)
-    (low_x, low_y, _), (high_x, high_y, _) = points.min(axis=0), points.max(axis=0)
-    return BundleBoard(
-        name,
-        relative,
-        board.point_sigma_mm,
-        bow_sigma_mm(board),
-        ((float(low_x), float(high_x)), (float(low_y), float(high_y))),
-    )
-
-
 def _bar(plan: SessionPlan, name: str) -> BundleBar:
     bar = plan.session.artefacts[name]
     assert isinstance(bar, BallBar)
@@ -325,7 +277,11 @@ def _observed_box(found: Adjustment, problem: BundleProblem) -> Box:
     seen = found.centres.reshape(-1, 3)
     seen = seen[np.isfinite(seen).all(axis=1)]
     if not len(seen):
-        boards = [transform(found.board_poses[p.pose], p.point) for p in problem.board_points]
+        boards = [
+            transform(found.board_poses[p.pose], in_space(p.point, radius))
+            for p in problem.board_points
+            for radius in (problem.boards[problem.board_poses[p.pose].board].radius_mm,)
+        ]
         seen = np.concatenate(boards)
     low, high = seen.min(axis=0), seen.max(axis=0)
     if np.any(high <= low):

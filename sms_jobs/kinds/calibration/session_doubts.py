@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sms_jobs.kinds.calibration.session_adjustment import Bars, Boards, Start, middle_centres
+from sms_jobs.kinds.calibration.seen_boards import Boards
+from sms_jobs.kinds.calibration.session_adjustment import Bars, Start, middle_centres
 from sms_jobs.records.observations import BarObservation, BoardObservation
 
 _FLAT = 0.02

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Mask
+from sms_jobs.metrology.geometry.wrapped_sheets import in_space
 
 
 @dataclass(frozen=True)
@@ -19,11 +21,13 @@ class BoardView:
     sensor, pose
         Names: C1, P1, ...; that of the pose is the same for all sensors that saw it.
     point
-        (n, 3) in mm in the board's frame, z = 0.
+        (n, 3) in mm in the board's frame, z = 0; of a cylinder on its sheet.
     pixel
         (n, 2), their images.
     sigma_px
         (n,) standard deviations of the images in each direction.
+    radius_mm
+        About which the board's sheet is wrapped, see `wrapped_sheets`; infinite for a flat one.
     """
 
     sensor: str
@@ -31,6 +35,7 @@ class BoardView:
     point: Floats
     pixel: Floats
     sigma_px: Floats
+    radius_mm: float = inf
 
     def __post_init__(self) -> None:
         n = len(self.point)
@@ -54,7 +59,12 @@ class BoardView:
 
     def part(self, kept: Mask) -> BoardView:
         """Return some of its points."""
-        return BoardView(self.sensor, self.pose, self.point[kept], self.pixel[kept], self.sigma_px[kept])
+        return replace(self, point=self.point[kept], pixel=self.pixel[kept], sigma_px=self.sigma_px[kept])
+
+    @property
+    def in_space(self) -> Floats:
+        """The points (n, 3) in mm where they are in space, in the board's frame."""
+        return in_space(self.point, self.radius_mm)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ class Estimated(StrEnum):
     BOW_ALONG_Y = "bow-along-y"
     TWIST = "twist"
     """Of a board that is not flat: see `board_shape`."""
+    DIAMETER = "diameter"
+    """Of the cylinder about which a board is wrapped."""
     BLUR = "blur"
     """Of a camera: how much wider than a point its images are."""
 

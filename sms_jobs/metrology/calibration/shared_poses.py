@@ -74,7 +74,7 @@ def _contradicting(
 
 def _near(motion: Pose, placed: Pose, other: SensorStart, view: BoardView) -> bool:
     """Say whether a board that one sensor placed is about where another one sees it."""
-    expected = project(other.intrinsics, motion, transform(placed, view.point))
+    expected = project(other.intrinsics, motion, transform(placed, view.in_space))
     off = np.sqrt(np.mean((expected - view.pixel) ** 2))
     size = np.sqrt(np.mean(np.var(view.pixel, axis=0)))
     return bool(off < _FAR * size)  # not so where it lies behind the sensor, NaN

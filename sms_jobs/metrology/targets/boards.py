@@ -1,8 +1,9 @@
-"""Finds boards of dots: which dot is which, and the image of each dot's centre."""
+"""Finds boards of dots, flat or about a cylinder: which dot is which, and the image of each dot's centre."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isinf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +15,44 @@ from sms_jobs.metrology.targets.patterns import (
     BoardPoints,
     DotBoard,
     board_points,
+    goes_around,
     not_found,
 )
 from sms_jobs.metrology.targets.perspective import (
-    PlaneView,
-    centre_bias_of_view,
+    View,
+    bend_size,
+    bend_terms,
     ellipse_matrices,
     fit_plane_view,
 )
 from sms_jobs.metrology.targets.unseen import why_unseen
+from sms_jobs.metrology.targets.wrapped_view import fit_wrapped_view
 
 _LEAST_DOTS = 6
 _LEAST_MARKERS = 2
+_FRAME_MARKERS = 3
 _MOST_OUTSIDE = 0.1  # part of the dots of a lattice that may lie outside the board: clutter in its order
 _AREA_TOLERANCE = 1.4
 _OUTLIER_SIGMAS = 6.0
 _LEAST_OUTLIER_PX = 0.1
 _CENTRE_ROUNDS = 2  # the view is fitted to centres that it corrects: each round leaves a hundredth
+_LIGHT_TERMS = 3  # at least: a slope
 _NEAR_PREDICTION = 0.15  # of a pitch
 
 
 def _plane(board: DotBoard, place: Ints32) -> Floats:
     """Return places as points (n, 2) in mm that run with columns and rows, whatever the markers say."""
     return np.asarray(place, np.float64) * board.pitch_mm
+
+
+def _view(board: DotBoard, plane: Floats, centre: Floats) -> View:
+    """Return how points of a board are seen; raises `ValueError` where they do not tell."""
+    if not isinf(board.diameter_mm):
+        return fit_wrapped_view(plane, centre, 0.5 * board.diameter_mm)
+    try:
+        return fit_plane_view(plane, centre)
+    except ValueError as error:
+        raise ValueError("all dots that were seen are on a line") from error
 
 
 def _marker_diameter(board: DotBoard) -> float:
@@ -61,6 +77,13 @@ def _turned(place: Ints32, quarter: int) -> Ints32:
     return np.stack([(x, y), (-y, x), (-x, -y), (y, -x)][quarter], axis=-1).astype(np.int32)
 
 
+def _around(board: DotBoard, place: Ints32) -> Ints32:
+    """Return places with columns that go on across the seam of a cylinder."""
+    if not goes_around(board):
+        return place
+    return np.stack([place[:, 0] % board.columns, place[:, 1]], axis=-1).astype(np.int32)
+
+
 def _inside(board: DotBoard, place: Ints32) -> Mask:
     return np.asarray(((place >= 0) & (place < [board.columns, board.rows])).all(axis=1))
 
@@ -76,21 +99,23 @@ def _by_markers(board: DotBoard, place: Ints32, flagged: Mask) -> tuple[Ints32, 
         for i in np.flatnonzero(flagged):
             for marker in markers:
                 shift = np.array(marker, dtype=np.int32) - turned[i]
-                key = (quarter, int(shift[0]), int(shift[1]))
+                key = (quarter, *_around(board, shift[None])[0].tolist())
                 if key in found:
                     continue
-                moved = (turned + shift).astype(np.int32)
+                moved = _around(board, (turned + shift).astype(np.int32))
                 inside = _inside(board, moved)
                 is_marker = np.array([tuple(p) in markers for p in moved.tolist()])
                 matched = int((is_marker & flagged).sum())
                 against = int((is_marker != flagged)[inside].sum())
                 if inside.mean() < 1.0 - _MOST_OUTSIDE:
-                    if matched == 3 and not against:
+                    if matched >= _FRAME_MARKERS and not against:
                         beyond = int((~inside).sum())
                     continue
                 found[key] = (matched, 2 * matched - against - int((~inside).sum()), moved)
     # Two markers can fit by chance, even in a mirror: then nothing may speak against them.
-    fitting = (f for f in found.values() if f[0] == 3 or (f[0] == _LEAST_MARKERS and f[1] == 2 * f[0]))
+    fitting = (
+        f for f in found.values() if f[0] >= _FRAME_MARKERS or (f[0] == _LEAST_MARKERS and f[1] == 2 * f[0])
+    )
     likely = sorted(fitting, key=lambda f: -f[1])
     if not likely and beyond:
         return (
@@ -138,7 +163,7 @@ def _by_extent(board: DotBoard, place: Ints32, centre: Floats) -> Ints32 | str:
 
 
 def _recover(
-    grey: Singles, board: DotBoard, view: PlaneView, place: Ints32, threads: int
+    grey: Singles, board: DotBoard, view: View, place: Ints32, threads: int
 ) -> tuple[Circles, Ints32]:
     """Look for the dots that are missing, where the view says that they are and neighbours surround them."""
     import cv2
@@ -148,6 +173,7 @@ def _recover(
     near = cv2.boxFilter(seen, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     row, column = np.nonzero((near > 2.5) & (seen == 0.0))
     missing = np.stack([column, row], axis=-1).astype(np.int32)
+    missing = missing[view.faces(_plane(board, missing))]
     plane = _plane(board, missing)
     at, matrix = view.image(plane), ellipse_matrices(view, plane, _diameters(board, missing))
     kept: list[int] = []
@@ -168,30 +194,69 @@ def _diameters(board: DotBoard, place: Ints32) -> Floats:
     return np.where(wide, _marker_diameter(board), board.dot_diameter_mm)
 
 
-def _kept(board: DotBoard, circles: Circles, place: Ints32, view: PlaneView, refused: dict[str, int]) -> Mask:
+def _centres(board: DotBoard, circles: Circles, place: Ints32, rounds: int = _CENTRE_ROUNDS) -> Floats:
+    """Return the images of the dots' centres (n, 2), which are not those of their ellipses.
+
+    NaN for dots on the far side of a cylinder, or at its rim. Raises `ValueError` as `_view` does.
+    """
+    # Of a ring the outer ellipse alone: its hole is smaller, hence weaker, and need not be concentric.
+    plane, diameters = _plane(board, place), _diameters(board, place)
+    blur = float(np.median(circles.blur))
+    found = circles.centre if isinf(board.diameter_mm) else circles.centre + _light_shift(circles)
+    centre = found
+    for _ in range(rounds):
+        known = np.isfinite(centre).all(axis=1)
+        centre = found - _view(board, plane[known], centre[known]).centre_bias(plane, diameters, blur)
+    return centre
+
+
+def _light_shift(circles: Circles) -> Floats:
+    """Return by how much dots are brighter on one side than light that is even has them, (n, 2) in px.
+
+    Blur mixes what has more light with what has less: edges of the reflectance move by s^2 times the relative
+    slope of the light, which about a cylinder is steep, towards where it is darker. The brighter of ground
+    and ink tells that slope.
+    """
+    middle = circles.centre.mean(axis=0)
+    reach = float(np.abs(circles.centre - middle).max())
+    scaled, terms = (circles.centre - middle) / reach, max(bend_size(len(circles.centre)), _LIGHT_TERMS)
+    level = np.log(np.maximum(np.maximum(circles.ground, circles.ink), 1.0))
+    fit = np.linalg.lstsq(bend_terms(scaled, terms, 0, 0), level, rcond=1e-9)[0]
+    slope = [bend_terms(scaled, terms, *by) @ fit / reach for by in ((1, 0), (0, 1))]
+    return np.asarray(circles.blur[:, None] ** 2 * np.stack(slope, axis=-1))
+
+
+def _kept(
+    board: DotBoard, circles: Circles, centre: Floats, place: Ints32, view: View, refused: dict[str, int]
+) -> Mask:
     """Return which dots are as large as they must be and where they must be; count the others."""
     plane = _plane(board, place)
     expected = np.linalg.det(ellipse_matrices(view, plane, _diameters(board, place)))
     ratio = expected / np.linalg.det(circles.matrix)
     ratio /= np.median(ratio)
     sized = (ratio < _AREA_TOLERANCE) & (ratio > 1.0 / _AREA_TOLERANCE)
-    off = np.hypot(*(circles.centre - view.image(plane)).T)
-    sigma = np.sqrt(np.trace(circles.covariance, axis1=1, axis2=2) + np.median(off) ** 2)
+    off = np.hypot(*(centre - view.image(plane)).T)
+    sigma = np.sqrt(np.trace(circles.covariance, axis1=1, axis2=2) + np.nanmedian(off) ** 2)
     placed = off < np.maximum(_OUTLIER_SIGMAS * sigma, _LEAST_OUTLIER_PX)
-    for reason, count in (("not as large as a dot", ~sized), ("off the board's lattice", sized & ~placed)):
+    faces = view.faces(plane)
+    for reason, count in (
+        ("seen too obliquely", ~faces),
+        ("not as large as a dot", faces & ~sized),
+        ("off the board's lattice", faces & sized & ~placed),
+    ):
         if count.any():
             refused[reason] = refused.get(reason, 0) + int(count.sum())
-    return np.asarray(sized & placed)
+    return np.asarray(faces & sized & placed)
 
 
 def find_board(image: NDArray[np.generic], board: DotBoard, *, threads: int = 1) -> BoardPoints:
-    """Find a board of dots in an image, whole or in part.
+    """Find a board of dots in an image, whole or in part, flat or about a cylinder.
 
     Dots are brought into the order of a lattice; markers tell which place is which. Two markers are enough
     where they leave a single answer. An image is never mirrored: columns run to the right and rows
     downwards as the board is seen from the front. A board without markers must be seen with all its rows
     and columns; its columns then run to the right of the image, as far as that can be (of a square board:
-    within 45 degrees).
+    within 45 degrees). Of a cylinder the dots that face the camera within 50 degrees are kept.
 
     Parameters
     ----------
@@ -260,10 +325,13 @@ def _finished(
     """Drop outliers, look for what is missing, correct for perspective, sort."""
     for last in (False, True):
         try:
-            view = fit_plane_view(_plane(board, place), circles.centre)
-        except ValueError:
-            return not_found("all dots that were seen are on a line", refused)
-        good = np.flatnonzero(_kept(board, circles, place, view, refused))
+            # About a cylinder larger dots are off by more, in the measure of what tells outliers.
+            centre = circles.centre if isinf(board.diameter_mm) else _centres(board, circles, place, 1)
+            known = np.isfinite(centre).all(axis=1)
+            view = _view(board, _plane(board, place[known]), centre[known])
+        except ValueError as error:
+            return not_found(str(error), refused)
+        good = np.flatnonzero(_kept(board, circles, centre, place, view, refused))
         if len(good) < _LEAST_DOTS:
             return not_found(
                 f"only {len(good)} dots of the board; at least {_LEAST_DOTS} are needed", refused
@@ -274,15 +342,16 @@ def _finished(
             circles, place = circles.joined(more), np.concatenate([place, where])
     order = np.lexsort((place[:, 0], place[:, 1]))
     circles, place = circles.chosen(order), place[order]
-    # Of a ring the outer ellipse alone: its hole is smaller, hence weaker, and need not be concentric.
-    plane, diameters, centre = _plane(board, place), _diameters(board, place), circles.centre
-    for _ in range(_CENTRE_ROUNDS):
-        centre = circles.centre - centre_bias_of_view(fit_plane_view(plane, centre), plane, diameters)
-    covariance = circles.covariance
+    try:
+        centre = _centres(board, circles, place)
+    except ValueError as error:
+        return not_found(str(error), refused)
+    good = np.flatnonzero(np.isfinite(centre).all(axis=1))
+    circles, place, covariance = circles.chosen(good), place[good], circles.covariance[good]
     return BoardPoints(
         place=place,
         point=board_points(board, place),
-        centre_px=centre,
+        centre_px=centre[good],
         covariance_px=covariance,
         sigma_px=np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)),
         ellipse_px=circles.centre,

@@ -237,6 +237,12 @@ def _judged(fit: FittedEllipses, dark: bool, noise: float, refused: dict[str, in
     return np.asarray(good)
 
 
+def reach_inside(semi: Floats) -> Floats:
+    """Return how far inside of an edge grey levels are taken, (n,) in px, of the shorter semi-axes (n,)."""
+    # A ring has ink only near its edge: a third of the semi-axis is less than the thinnest wall of a marker.
+    return np.maximum(0.35 * semi, 1.5)
+
+
 def refine_circles(
     image: Singles,
     centre: Floats,
@@ -263,9 +269,7 @@ def refine_circles(
     refused: dict[str, int] = {}
     noise = noise_of(image)
     semi = semi_axes(matrix)[0][:, 1] if len(matrix) else np.empty(0)
-    # A ring has ink only near its edge: a third of the semi-axis is less than the thinnest wall of a marker.
-    reach = np.maximum(0.35 * semi, 1.5)
-    fit = fit_ellipses(image, centre, matrix, reach, np.full(len(centre), 12.0), threads=threads)
+    fit = fit_ellipses(image, centre, matrix, reach_inside(semi), np.full(len(centre), 12.0), threads=threads)
     good = _judged(fit, ink == "dark", noise, refused)
     fit = fit.chosen(good)
     fill = (_middle(image, fit.centre) - fit.ground) / (fit.ink - fit.ground) if good.any() else np.empty(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import nan
+from math import nan, pi
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -11,6 +11,9 @@ import numpy as np
 from sms_jobs.metrology.arrays import Floats, Ints32
 
 Place: TypeAlias = tuple[int, int]
+
+_NEXT_PITCHES = 1.1
+"""Across a seam: what is farther apart are no neighbours, see `check_artefact`."""
 
 
 class DotBoard(Protocol):
@@ -37,8 +40,13 @@ class DotBoard(Protocol):
         ...
 
     @property
-    def markers(self) -> tuple[Place, Place, Place] | None:
-        """Places of the markers, origin, x, y."""
+    def diameter_mm(self) -> float:
+        """Of the cylinder about which the sheet of dots is wrapped; infinite for a flat one."""
+        ...
+
+    @property
+    def markers(self) -> tuple[Place, ...] | None:
+        """Places of the markers, origin, x, y; of a cylinder others may follow."""
         ...
 
     @property
@@ -71,7 +79,7 @@ class BoardPoints:
     place
         (n, 2), column and row on the board, sorted by row and column.
     point
-        (n, 3), on the board, in mm, in the board's frame.
+        (n, 3), on the board, in mm, in the board's frame; of a cylinder on its sheet, see `wrapped_sheets`.
     centre_px
         (n, 2), images of the centres, corrected for perspective.
     covariance_px
@@ -123,17 +131,40 @@ def not_found(reason: str, refused: dict[str, int]) -> BoardPoints:
 
 
 def board_points(board: DotBoard, place: Ints32) -> Floats:
-    """Return the points (n, 3) in mm, in the board's frame, of places (n, 2) of column and row.
+    """Return the points (n, 3) in mm, in the frame of the board's sheet, of places (n, 2) of column and row.
 
     The origin is the first marker, x runs along the columns towards the second, y along the rows towards
     the third, z = x cross y. Without markers the origin is place (0, 0), and x and y grow with column and
-    row.
+    row. Of a cylinder the sheet touches at the origin.
     """
     points = np.zeros((len(place), 3))
-    origin, sign = np.zeros(2), np.ones(2)
-    if board.markers is not None:
-        first, second, third = (np.array(m, dtype=np.float64) for m in board.markers)
-        origin = first
-        sign = np.array([np.sign(second[0] - first[0]), np.sign(third[1] - first[1])])
-    points[:, :2] = (np.asarray(place, np.float64) - origin) * sign * board.pitch_mm
+    origin = np.zeros(2) if board.markers is None else np.array(board.markers[0], dtype=np.float64)
+    points[:, :2] = (np.asarray(place, np.float64) - origin) * _signs(board.markers) * board.pitch_mm
     return points
+
+
+def _signs(markers: tuple[Place, ...] | None) -> Floats:
+    """Return whether x and y grow with column and row, 1, or fall, -1."""
+    if markers is None:
+        return np.ones(2)
+    first, second, third = (np.array(m, dtype=np.float64) for m in markers[:3])
+    return np.array([np.sign(second[0] - first[0]), np.sign(third[1] - first[1])])
+
+
+def radius_of(board: DotBoard) -> float:
+    """Return the radius in mm about which a board's sheet is wrapped, as `wrapped_sheets` has it.
+
+    From outside, columns run to the right and rows downwards: where x and y run as they do or both against
+    them, z points into the cylinder.
+    """
+    return 0.5 * board.diameter_mm * float(np.prod(_signs(board.markers)))
+
+
+def seam_pitches(board: DotBoard) -> float:
+    """Return how far the first column is from the last across the seam, in pitches; infinite if flat."""
+    return pi * board.diameter_mm / board.pitch_mm - (board.columns - 1)
+
+
+def goes_around(board: DotBoard) -> bool:
+    """Tell whether neighbours stand at both sides of the seam, as far as a lattice goes."""
+    return seam_pitches(board) < _NEXT_PITCHES

@@ -4,12 +4,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import perm
+from typing import Protocol
 
 import numpy as np
 
-from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.arrays import Floats, Mask
 
 _DEGREES = ((60, 5), (30, 3), (14, 2))  # the bend's degree, by the least number of points that it needs
+
+
+class View(Protocol):
+    """How a sheet of dots is seen, flat or not; points are (n, 2) on the sheet, in mm."""
+
+    def image(self, points: Floats) -> Floats:
+        """Return the images (n, 2) in px."""
+        ...
+
+    def jacobian(self, points: Floats) -> Floats:
+        """Return d(image)/d(point), (n, 2, 2) in px/mm."""
+        ...
+
+    def faces(self, points: Floats) -> Mask:
+        """Return which points (n,) are seen, and not too obliquely."""
+        ...
+
+    def centre_bias(self, points: Floats, diameters: Floats, blur_px: float) -> Floats:
+        """Return the centres of ellipses, blurred so, minus the images of dots' centres, (n, 2) in px."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -38,7 +59,7 @@ class PlaneView:
         """Return the images (n, 2) in px of points (n, 2) of the plane in mm."""
         straight = through_homography(self.homography, points)
         scaled = (points - self.middle) / self.reach
-        return np.asarray(straight + _terms(scaled, len(self.bend), 0, 0) @ self.bend)
+        return np.asarray(straight + bend_terms(scaled, len(self.bend), 0, 0) @ self.bend)
 
     def jacobian(self, points: Floats) -> Floats:
         """Return d(image)/d(point), (n, 2, 2) in px/mm."""
@@ -49,19 +70,28 @@ class PlaneView:
         if not len(self.bend):
             return np.asarray(straight)
         scaled, n = (points - self.middle) / self.reach, len(self.bend)
-        bent = [_terms(scaled, n, *by) @ self.bend / self.reach for by in ((1, 0), (0, 1))]
+        bent = [bend_terms(scaled, n, *by) @ self.bend / self.reach for by in ((1, 0), (0, 1))]
         return np.asarray(straight + np.stack(bent, axis=-1))
+
+    def faces(self, points: Floats) -> Mask:
+        """Return which points (n,) are seen: all, since dots of a plane are judged by their own ellipses."""
+        return np.ones(len(points), np.bool_)
+
+    def centre_bias(self, points: Floats, diameters: Floats, blur_px: float) -> Floats:
+        """Return `centre_bias_of_view`, on which blur has no bearing."""
+        return centre_bias_of_view(self, points, diameters)
 
     def curvature(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the second derivatives xx, xy, yy of the bend, each (n, 2) in px/mm^2."""
         scaled, n = (points - self.middle) / self.reach, len(self.bend)
         xx, xy, yy = (
-            np.asarray(_terms(scaled, n, *by) @ self.bend / self.reach**2) for by in ((2, 0), (1, 1), (0, 2))
+            np.asarray(bend_terms(scaled, n, *by) @ self.bend / self.reach**2)
+            for by in ((2, 0), (1, 1), (0, 2))
         )
         return xx, xy, yy
 
 
-def _terms(scaled: Floats, count: int, by_x: int, by_y: int) -> Floats:
+def bend_terms(scaled: Floats, count: int, by_x: int, by_y: int) -> Floats:
     """Return derivatives (n, count) of the first monomials, `by_x` times by x and `by_y` times by y."""
     x, y = scaled.T
     columns = np.zeros((len(scaled), count))
@@ -70,6 +100,12 @@ def _terms(scaled: Floats, count: int, by_x: int, by_y: int) -> Floats:
         if a >= by_x and b >= by_y:
             column[:] = perm(a, by_x) * x ** (a - by_x) * perm(b, by_y) * y ** (b - by_y)
     return columns
+
+
+def bend_size(points: int) -> int:
+    """Return how many terms of a bend so many points tell: of degree 5 from 60 on, 3 from 30, 2 from 14."""
+    degree = next((degree for least, degree in _DEGREES if points >= least), -1)
+    return (degree + 1) * (degree + 2) // 2
 
 
 def through_homography(homography: Floats, points: Floats) -> Floats:
@@ -108,13 +144,11 @@ def fit_plane_view(points: Floats, image: Floats) -> PlaneView:
     if found is None or spread < 2:
         raise ValueError("a plane's view needs four points that are not on a line")
     homography = np.asarray(found, dtype=np.float64)
-    count = len(points)
-    degree = next((degree for least, degree in _DEGREES if count >= least), -1)
-    terms = (degree + 1) * (degree + 2) // 2
+    terms = bend_size(len(points))
     bend = np.zeros((terms, 2))
     if terms:
         left = image - through_homography(homography, points)
-        bend[:] = np.linalg.lstsq(_terms((points - middle) / reach, terms, 0, 0), left, rcond=1e-9)[0]
+        bend[:] = np.linalg.lstsq(bend_terms((points - middle) / reach, terms, 0, 0), left, rcond=1e-9)[0]
     return PlaneView(homography, bend, middle, reach)
 
 
@@ -198,7 +232,7 @@ def centre_bias_of_view(view: PlaneView, centres: Floats, diameters: Floats) -> 
     return np.asarray(straight + (jacobian @ shift[:, :, None])[:, :, 0])
 
 
-def ellipse_matrices(view: PlaneView, centres: Floats, diameters: Floats) -> Floats:
+def ellipse_matrices(view: View, centres: Floats, diameters: Floats) -> Floats:
     """Return M (n, 2, 2) in 1/px of the ellipses |M (x - c)| = 1 that circles become, to first order."""
     jacobian = view.jacobian(centres) * (0.5 * np.asarray(diameters, np.float64))[:, None, None]
     values, vectors = np.linalg.eigh(jacobian @ np.swapaxes(jacobian, 1, 2))

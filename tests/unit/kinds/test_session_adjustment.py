@@ -15,8 +15,9 @@ from support.calibration_sessions import SessionInMemory, observed_session, poin
 from support.sessions import on_site_session, small_session
 
 from sms_jobs.jobs.archiving.calibrations import KnownCalibration, compared, drift_of
-from sms_jobs.kinds.calibration.session_adjustment import board_views, known_as, start_from_last
-from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BOARD
+from sms_jobs.kinds.calibration.seen_boards import board_views
+from sms_jobs.kinds.calibration.session_adjustment import known_as, start_from_last
+from sms_jobs.kinds.calibration.sessions import CALIBRATE, OBSERVE_BOARD, session_plan
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison
@@ -78,7 +79,8 @@ def test_views_of_several_pairs_are_averaged_by_their_weights() -> None:
     first = made.observation(OBSERVE_BOARD, "B01", "C1P1")
     second = made.observation(OBSERVE_BOARD, "B01", "C1P2")
     second = replace(second, camera_sigma_px=second.camera_sigma_px / 2.0)
-    (view,) = [v for v in board_views({"B01": [first, second]}) if v.sensor == "C1"]
+    plan = session_plan(made.campaign, Subject("session"))
+    (view,) = [v for v in board_views(plan, {"B01": [first, second]}) if v.sensor == "C1"]
     order = np.lexsort(first.place.T[::-1])
     expected = (first.camera_px + 4.0 * second.camera_px)[order] / 5.0
     np.testing.assert_allclose(view.pixel, expected, rtol=1e-12)
@@ -93,9 +95,10 @@ def test_a_session_on_site_keeps_the_pitch_that_was_found() -> None:
     assert scale is not None
     site = SessionInMemory.observed(on_site_session("site", "small"), 7)
     seen = {"B01": [site.observation(OBSERVE_BOARD, "B01", "C1P1")]}
-    start = start_from_last(first["calibration"], first["uncertainty"], quality, seen)
+    plan = session_plan(site.campaign, Subject("site"))
+    start = start_from_last(plan, first["calibration"], first["uncertainty"], quality, seen)
     assert start.pitch == {"board": (scale.value, scale.sigma)}
-    assert start_from_last(first["calibration"], None, None, seen).pitch == {}
+    assert start_from_last(plan, first["calibration"], None, None, seen).pitch == {}
 
 
 def test_each_coordinate_of_a_projector_has_its_own_noise() -> None:
@@ -141,7 +144,8 @@ def test_a_start_on_site_keeps_lenses_and_places_boards() -> None:
         label: [site.observation(OBSERVE_BOARD, label, view) for view in site.campaign.views]
         for label in ("B01", "B04")
     }
-    start = start_from_last(records["calibration"], records["uncertainty"], records["quality"], boards)
+    plan = session_plan(site.campaign, Subject("site"))
+    start = start_from_last(plan, records["calibration"], records["uncertainty"], records["quality"], boards)
     assert start.origin == known_as(records["calibration"])
     assert start.world is None
     assert set(start.boards) == {"B01", "B04"}

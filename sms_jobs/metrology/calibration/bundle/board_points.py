@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isinf
 
 import numpy as np
 from scipy.special import chdtri
@@ -284,16 +285,22 @@ def _shape_warning(
     far = np.linalg.norm(by_group, axis=1)[equations.group]
     point = int(np.argmax(far))
     name = [n for n, free in zip(parameter_names(problem), freedom.free, strict=True) if free][worst]
-    board = problem.boards[equations.board[point]].name
+    board = problem.boards[equations.board[point]]
+    flat = isinf(board.radius_mm)
     x, y = equations.place[point, :2]
     dx, dy, dz = by_group[equations.group[point]]
     rms = float(np.sqrt(np.mean(by_group**2)))
     told = (
-        f"the points of {board} are not where they are told to be, nor does bow or twist explain it: they "
+        f"the points of {board.name} are not where they are told to be, nor does "
+        f"{'bow or twist' if flat else 'a diameter within what is stated'} explain it: they "
         f"are off by {1e3 * rms:.3g} um rms in each direction, that at x {x:.4g}, y {y:.4g} mm by "
         f"({1e3 * dx:.0f}, {1e3 * dy:.0f}, {1e3 * dz:.0f}) um; with points set free {name} would go by "
         f"{shift[worst]:+.3g}, {abs(shift[worst]) / deviation[worst]:.1f} of its deviations (limit 1): is "
-        "the board dented, or its print crooked? Take a flat one"
+        + (
+            "the board dented, or its print crooked? Take a flat one"
+            if flat
+            else "the cylinder out of round, or its print crooked? Take another one"
+        )
     )
     return (told,)
 

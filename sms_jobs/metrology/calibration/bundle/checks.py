@@ -287,7 +287,10 @@ def observed_box(problem: BundleProblem, state: State) -> tuple[Floats, Floats]:
     points = [state.sphere[:, :, :3].reshape(-1, 3)]
     for seen in problem.board_points:
         board = state.board[seen.pose]
-        points.append(seen.point @ board[:, :3].T * board[0, 4] + board[:, 3])
+        if board[1, 4]:
+            points.append(state.in_space(seen.point, seen.pose) @ board[:, :3].T + board[:, 3])
+        else:
+            points.append(seen.point @ board[:, :3].T * board[0, 4] + board[:, 3])
     everything = np.concatenate(points)
     everything = everything[np.all(np.isfinite(everything), axis=1)]
     low, high = everything.min(axis=0), everything.max(axis=0)

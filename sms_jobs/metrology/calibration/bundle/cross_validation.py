@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import isinf
 
 import numpy as np
 
@@ -192,6 +193,12 @@ def _alone(problem: BundleProblem, found: Adjustment, bars: set[int], boards: se
 
 def _as_found(board: BundleBoard, known: Mapping[tuple[Estimated, str], float]) -> BundleBoard:
     """Return a board that keeps the shape that was found; its pitch is that of its points."""
+    if not isinf(board.radius_mm):
+        told = 2.0 * abs(board.radius_mm)
+        found = known.get((Estimated.DIAMETER, board.name), told + board.shape_mm[0])
+        return replace(
+            board, pitch_relative_sigma=0.0, diameter_sigma_mm=0.0, shape_mm=(found - told, 0.0, 0.0)
+        )
     terms = zip(SHAPE, board.shape_mm, strict=True)
     bow_x, bow_y, twist = (known.get((what, board.name), kept) for what, kept in terms)
     return replace(board, pitch_relative_sigma=0.0, flatness_mm=0.0, shape_mm=(bow_x, bow_y, twist))

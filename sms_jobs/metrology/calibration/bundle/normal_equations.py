@@ -338,7 +338,7 @@ def prior_equations(problem: BundleProblem, state: State) -> tuple[Floats, Float
         at = layout.board(k)
         cost += add_prior(at, state.pitch_scale(problem, k) - 1.0, board.pitch_relative_sigma)
         for term, height in enumerate(state.shape(problem, k)):
-            cost += add_prior(at + 1 + term, float(height), board.flatness_mm)
+            cost += add_prior(at + 1 + term, float(height), board.shape_sigma_mm[term])
     for pose, held in enumerate(problem.bar_poses):
         way = state.sphere[pose, 1, :3] - state.sphere[pose, 0, :3]
         apart = float(np.linalg.norm(way))

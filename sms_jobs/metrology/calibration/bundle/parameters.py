@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import copysign, isinf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from sms_jobs.metrology.calibration.bundle.residuals import PER_BOARD
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, POSE_PARAMETERS, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
+from sms_jobs.metrology.geometry.wrapped_sheets import in_space
 
 Ints = NDArray[np.signedinteger]
 
@@ -57,7 +59,7 @@ class Layout:
         return self.centre(self.bar_poses, 0) + 3 * bar
 
     def board(self, board: int) -> int:
-        """Return the place of the scale of a board's pitch; bow along x and y and twist follow."""
+        """Return the place of the scale of a board's pitch; its shape follows, see `BundleBoard.shape_mm`."""
         return self.bar(self.bars) + PER_BOARD * board
 
     @property
@@ -72,8 +74,9 @@ def parameter_names(problem: BundleProblem) -> tuple[str, ...]:
     names += [f"board {b.name}.{p}" for b in problem.board_poses for p in POSE_PARAMETERS]
     names += [f"bar {b.name}.sphere{k}.{c}" for b in problem.bar_poses for k in (1, 2) for c in "xyz"]
     names += [f"{b.name}.{p}" for b in problem.bars for p in ("length", "radius1", "radius2")]
-    of_board = ("pitch-scale", "bow-x", "bow-y", "twist")
-    names += [f"{b.name}.{p}" for b in problem.boards for p in of_board]
+    for board in problem.boards:
+        first = "bow-x" if isinf(board.radius_mm) else "diameter"
+        names += [f"{board.name}.{p}" for p in ("pitch-scale", first, "bow-y", "twist")]
     return tuple(names)
 
 
@@ -169,7 +172,7 @@ def freedom(problem: BundleProblem, seen_board: Mask, seen_sphere: Mask) -> Free
         number = problem.board_poses[pose].board
         at, board = layout.board(number), problem.boards[number]
         free[at] = board.pitch_relative_sigma > 0.0
-        free[at + 1 : at + PER_BOARD] = board.flatness_mm > 0.0
+        free[at + 1 : at + PER_BOARD] = np.array(board.shape_sigma_mm) > 0.0
     return Freedom(free, tuple(followers))
 
 
@@ -182,8 +185,8 @@ class State:
     rotation, translation, lens
         (s, 3, 3), (s, 3) and (s, parameters of a lens) of the sensors.
     board
-        (board poses, 3, 6): rotation, translation, at [:, 0, 4] the scale of the board's pitch and at
-        [:, :, 5] its shape.
+        (board poses, 3, 6): rotation, translation, at [:, 0, 4] the scale of the board's pitch, at [:, 1, 4]
+        the radius about which it is wrapped as told, 0 for a flat one, and at [:, :, 5] its shape.
     sphere
         (bar poses, 2, 4): centre and radius.
     length
@@ -239,6 +242,13 @@ class State:
                 return self.board[pose, :, 5].copy()
         return np.array(problem.boards[board].shape_mm)
 
+    def in_space(self, points: Floats, pose: int) -> Floats:
+        """Return points of a board (n, 3) where they are in space, in the board's frame, but for its bow."""
+        scaled = points * self.board[pose, 0, 4]
+        told = float(self.board[pose, 1, 4])
+        wider = float(self.board[pose, 0, 5])
+        return in_space(scaled, told + copysign(0.5, told) * wider) if told else scaled
+
     def radii(self, problem: BundleProblem, bar: int) -> Floats:
         """Return the radii (2,) of the spheres of a bar, as certified where no pose shows it."""
         for pose, held in enumerate(problem.bar_poses):
@@ -280,7 +290,9 @@ def starting_state(problem: BundleProblem) -> State:
     board = np.zeros((len(problem.board_poses), 3, 6))
     for pose, placed in enumerate(problem.board_poses):
         board[pose, :, :3], board[pose, :, 3] = placed.pose.matrix(), placed.pose.translation
-        board[pose, 0, 4], board[pose, :, 5] = 1.0, problem.boards[placed.board].shape_mm
+        told = problem.boards[placed.board]
+        board[pose, 0, 4], board[pose, :, 5] = 1.0, told.shape_mm
+        board[pose, 1, 4] = 0.0 if isinf(told.radius_mm) else told.radius_mm
     sphere = np.zeros((len(problem.bar_poses), 2, 4))
     for pose, held in enumerate(problem.bar_poses):
         sphere[pose, :, :3] = held.centres

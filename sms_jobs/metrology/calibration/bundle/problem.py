@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import inf, isinf
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS, Pose
 from sms_jobs.metrology.geometry.lens import KEPT, Intrinsics
 
@@ -80,11 +82,16 @@ class BundleBoard:
     point_sigma_mm
         Of one point's place, in each direction: the same in every pose, for a board is printed once.
     flatness_mm
-        Standard deviation of bow and twist; 0 where the shape is held at `shape_mm`.
+        Standard deviation of bow and twist; 0 where the shape is held at `shape_mm`. 0 for a cylinder.
     outline_mm
         Lowest and highest x, then y, of the board's points.
     shape_mm
-        Bow along x, bow along y and twist from which the adjustment starts, see `board_shape`.
+        Bow along x, bow along y and twist from which the adjustment starts, see `board_shape`; of a cylinder
+        what its diameter is larger than told, 0 and 0.
+    radius_mm
+        About which the board's sheet is wrapped, as told, see `wrapped_sheets`; infinite for a flat one.
+    diameter_sigma_mm
+        Standard deviation of a cylinder's diameter; 0 where it is held.
     """
 
     name: str
@@ -93,6 +100,20 @@ class BundleBoard:
     flatness_mm: float = 0.0
     outline_mm: tuple[tuple[float, float], tuple[float, float]] = ((-1.0, 1.0), (-1.0, 1.0))
     shape_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radius_mm: float = inf
+    diameter_sigma_mm: float = 0.0
+
+    @property
+    def shape_sigma_mm(self) -> tuple[float, float, float]:
+        """Standard deviations of `shape_mm`, 0 for what is held."""
+        if isinf(self.radius_mm):
+            return self.flatness_mm, self.flatness_mm, self.flatness_mm
+        return self.diameter_sigma_mm, 0.0, 0.0
+
+    @property
+    def shape_terms(self) -> tuple[Estimated, ...]:
+        """What `shape_mm` is made of, but for what a cylinder does not have."""
+        return SHAPE if isinf(self.radius_mm) else (Estimated.DIAMETER,)
 
 
 @dataclass(frozen=True)
@@ -148,7 +169,7 @@ class BoardPoints:
     projector
         Whether the sensor is a projector, which sees through the phase: a residual type of its own.
     point
-        (n, 3), in the board's frame.
+        (n, 3), in the board's frame; of a cylinder on its sheet.
     pixel, sigma_px
         (n, 2) the points' images and (n,) their standard deviation in each direction.
     """

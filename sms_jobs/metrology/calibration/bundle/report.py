@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isinf
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from sms_jobs.metrology.calibration.bundle.parameters import Freedom, Layout, St
 from sms_jobs.metrology.calibration.bundle.problem import BundleOptions, BundleProblem, ResidualType
 from sms_jobs.metrology.calibration.bundle.result import AdjustedSensor, Nuisance, Rms
 from sms_jobs.metrology.calibration.bundle.weights import distances
-from sms_jobs.metrology.calibration.estimates import SHAPE, Estimated
+from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.geometry.camera import Pose
 
 Of = Literal["all", "sensor", "pair", "pose"]
@@ -69,8 +70,9 @@ def nuisances(
         scale = state.pitch_scale(problem, k)
         at, shape = layout.board(k), state.shape(problem, k)
         add(at, Estimated.PITCH_SCALE, board.name, 1.0, board.pitch_relative_sigma, scale)
-        for i, (what, height) in enumerate(zip(SHAPE, shape, strict=True)):
-            add(at + 1 + i, what, board.name, 0.0, board.flatness_mm, float(height))
+        told = 0.0 if isinf(board.radius_mm) else 2.0 * abs(board.radius_mm)
+        for i, what in enumerate(board.shape_terms):
+            add(at + 1 + i, what, board.name, told, board.shape_sigma_mm[i], told + float(shape[i]))
     return tuple(found)
 
 

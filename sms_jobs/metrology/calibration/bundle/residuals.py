@@ -19,7 +19,7 @@ from sms_jobs.metrology.calibration.bundle.rays import (
     ray,
     to_sensor,
 )
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import kernel, uncounted_kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted
@@ -28,7 +28,7 @@ SPHERE_SIZE = 2 * PER_SENSOR + 4
 """Parameters of a sphere block: the camera's, the projector's, the centre, the radius."""
 
 PER_BOARD = 4
-"""Parameters of a board: the scale of its pitch, bow along x and y, twist."""
+"""Parameters of a board: the scale of its pitch, bow along x and y, twist; the diameter of a cylinder."""
 
 BOARD_SIZE = PER_SENSOR + PER_POSE + PER_BOARD
 """Parameters of a board block: the sensor's, those of the board's pose, those of the board."""
@@ -254,6 +254,19 @@ def project_rows(
     return True
 
 
+@uncounted_kernel
+def wrapped_place(x: float, scale: float, radius: float) -> tuple[float, float, float, float, float, float]:
+    """Return where x on a sheet about a cylinder is in space, and how that goes with pitch and radius.
+
+    (x, z) in mm, their derivatives by the scale k of the pitch, and by the radius R: x becomes R sin(k x / R)
+    and z R (1 - cos(k x / R)), see `wrapped_sheets`.
+    """
+    turn = scale * x / radius
+    sine, cosine = np.sin(turn), np.cos(turn)
+    by_radius = 1.0 - cosine - turn * sine
+    return radius * sine, radius * (1.0 - cosine), x * cosine, x * sine, sine - turn * cosine, by_radius
+
+
 @kernel
 def board_rows(
     rotation: Floats,
@@ -267,16 +280,28 @@ def board_rows(
 ) -> bool:
     """Project a point of a board; fill pixel (2,) and derivatives; say whether it is in front.
 
-    `board` (3, 6) holds the board's rotation, translation, at [0, 4] the scale of its pitch and at [:, 5] its
-    shape; `point` (6,) its place on the board and its `shape_terms`. `rows` (2, parameters) are the
-    derivatives of the pixel by all of them, `slope` (2, 3) those by the point in the world.
+    `board` (3, 6) holds the board's rotation, translation, at [0, 4] the scale of its pitch, at [1, 4] the
+    radius about which it is wrapped, 0 for a flat one, and at [:, 5] its shape, of which that of a cylinder
+    is what its diameter is more; `point` (6,) its place on the board and its `shape_terms`. `rows` (2,
+    parameters) are the derivatives of the pixel by all of them, `slope` (2, 3) those by the point in the
+    world.
     """
-    place, arm, world = np.empty(3), np.empty(3), np.empty(3)
+    place, arm, world, wider = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     height = dot(board[:, 5], point[3:6])
-    for i in range(3):
-        place[i] = board[i, 0] * point[0] + board[i, 1] * point[1] + board[i, 2] * point[2]
-        arm[i] = board[0, 4] * place[i] + height * board[i, 2]
-        world[i] = arm[i] + board[i, 3]
+    told = board[1, 4]
+    if told != 0.0:
+        half = 0.5 if told > 0.0 else -0.5
+        x, z, dx, dz, rx, rz = wrapped_place(point[0], board[0, 4], told + half * board[0, 5])
+        for i in range(3):
+            place[i] = board[i, 0] * dx + board[i, 1] * point[1] + board[i, 2] * dz
+            arm[i] = board[i, 0] * x + board[i, 1] * board[0, 4] * point[1] + board[i, 2] * z
+            wider[i] = half * (board[i, 0] * rx + board[i, 2] * rz)
+            world[i] = arm[i] + board[i, 3]
+    else:
+        for i in range(3):
+            place[i] = board[i, 0] * point[0] + board[i, 1] * point[1] + board[i, 2] * point[2]
+            arm[i] = board[0, 4] * place[i] + height * board[i, 2]
+            world[i] = arm[i] + board[i, 3]
     if not project_rows(rotation, translation, lens, world, pixel, rows[:, :PER_SENSOR], slope):
         return False
     for i in range(2):
@@ -285,6 +310,10 @@ def board_rows(
         for k in range(3):
             rows[i, PER_SENSOR + 3 + k] = g[k]
         rows[i, BOARD_SIZE - PER_BOARD] = dot(g, place)
+        if told != 0.0:
+            rows[i, BOARD_SIZE - PER_BOARD + 1] = dot(g, wider)
+            rows[i, BOARD_SIZE - 2], rows[i, BOARD_SIZE - 1] = 0.0, 0.0
+            continue
         out = dot(g, board[:, 2])
         for k in range(3):
             rows[i, BOARD_SIZE - PER_BOARD + 1 + k] = out * point[3 + k]

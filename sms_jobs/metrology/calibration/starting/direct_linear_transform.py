@@ -10,6 +10,7 @@ from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.starting.homography import flatness, normalising
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.geometry.projection_matrix import fit_projection
 
 _FEWEST = 6
 _PLANE = 1e-2  # spread off the plane over the largest, below which focal length and distance trade
@@ -42,8 +43,7 @@ def direct_linear_transform(
 
     Notes
     -----
-    Abdel-Aziz & Karara 1971 (thesis ref. 83), with the normalisation of Hartley 1997: the (3, 4) matrix
-    P ~ K [R | T] is the singular vector of the least singular value, split by an RQ decomposition.
+    The (3, 4) matrix P ~ K [R | T] of `fit_projection`, split by an RQ decomposition.
     """
     points, pixels = np.asarray(points, dtype=np.float64), np.asarray(pixels, dtype=np.float64)
     weight = np.ones(len(points)) if sigma_px is None else 1.0 / np.asarray(sigma_px, dtype=np.float64)
@@ -56,26 +56,7 @@ def direct_linear_transform(
             f"the points are on a plane within {flatness(points):.1e} of their extent, where a DLT needs "
             f"{_PLANE:g}: add a pose of the board at another distance or tilt"
         )
-    to_space, to_image = normalising(points), normalising(pixels)
-    lifted = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ to_space.T
-    target = pixels @ to_image[:2, :2].T + to_image[:2, 2]
-    zero = np.zeros_like(lifted)
-    first = np.concatenate([lifted, zero, -target[:, :1] * lifted], axis=1)
-    second = np.concatenate([zero, lifted, -target[:, 1:] * lifted], axis=1)
-    rows = np.concatenate([first, second])
-    depth = np.ones(len(points))
-    for _ in range(3):  # reweighted, so that the residuals are those of the image
-        _, _, v = np.linalg.svd(rows * np.tile(weight / depth, 2)[:, None], full_matrices=False)
-        p = v[-1].reshape(3, 4)
-        depth = lifted @ p[2]
-        if depth.mean() < 0.0:
-            p, depth = -p, -depth
-        if depth.min() <= 0.0:
-            raise CalibrationFailed(
-                f"{int((depth <= 0.0).sum())} of {len(points)} points would be behind the sensor: "
-                "points and images do not belong together"
-            )
-    return _split(np.linalg.inv(to_image) @ p @ to_space)
+    return _split(fit_projection(points, pixels, normalising(points), normalising(pixels), weight))
 
 
 def _split(matrix: Floats) -> tuple[Intrinsics, Pose]:

@@ -11,7 +11,6 @@ from sms_jobs.errors import CalibrationFailed, InvalidInput
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.shared_poses import drop_unshared
-from sms_jobs.metrology.calibration.starting.homography import HomographyFit
 from sms_jobs.metrology.calibration.starting.sensor_refinement import SeenPoints, refine_sensor
 from sms_jobs.metrology.calibration.starting.sensor_start import (
     SensorStart,
@@ -19,6 +18,7 @@ from sms_jobs.metrology.calibration.starting.sensor_start import (
     start_sensor,
     usable_views,
 )
+from sms_jobs.metrology.calibration.starting.view_fit import ViewFit
 from sms_jobs.metrology.geometry.camera import Pose, project, projection_jacobian
 from sms_jobs.metrology.geometry.lens import Intrinsics, Model
 from sms_jobs.metrology.geometry.transforms import compose, inverse, rotation_matrix, transform
@@ -259,7 +259,7 @@ def _settle(
                 boards[name] = _board_pose(boards[name], own, starts, poses)
         for name in poses:
             own = [v for v in views if v.sensor == name]
-            points = np.concatenate([transform(boards[v.pose], v.point) for v in own])
+            points = np.concatenate([transform(boards[v.pose], v.in_space) for v in own])
             pixels, sigma = (np.concatenate([getattr(v, k) for v in own]) for k in ("pixel", "sigma_px"))
             seen = [SeenPoints(points, pixels, sigma)]
             moved = refine_sensor(seen, starts[name].intrinsics, [poses[name]], free=(), refuse=False)
@@ -274,7 +274,7 @@ def _board_pose(
         a, g = np.zeros((6, 6)), np.zeros(6)
         for view in views:
             sensor = (starts[view.sensor].intrinsics, sensors[view.sensor])
-            turned = view.point @ pose.matrix().T
+            turned = view.in_space @ pose.matrix().T
             world = turned + pose.translation
             by_point = projection_jacobian(*sensor, world)
             x, y, z = turned.T
@@ -293,7 +293,7 @@ def _result(
     starts: Mapping[str, SensorStart],
     sizes: Mapping[str, tuple[int, int]],
     used: Sequence[BoardView],
-    usable: Sequence[tuple[BoardView, HomographyFit]],
+    usable: Sequence[tuple[BoardView, ViewFit]],
     poses: Mapping[str, Pose],
     boards: Mapping[str, Pose],
     world: str,
@@ -303,7 +303,7 @@ def _result(
     for view in used:
         own = starts[view.sensor]
         off = view.pixel - project(
-            own.intrinsics, poses[view.sensor], transform(boards[view.pose], view.point)
+            own.intrinsics, poses[view.sensor], transform(boards[view.pose], view.in_space)
         )
         found.append(InitialView(view, own.rms_px[view.pose], float(np.sqrt(np.mean(off**2)))))
     for view, _ in usable:

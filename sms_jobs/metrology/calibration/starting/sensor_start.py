@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import degrees
+from math import degrees, isinf
 
 import numpy as np
 
@@ -12,13 +12,14 @@ from sms_jobs.errors import CalibrationFailed
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.calibration.board_views import BoardView, Refusal
 from sms_jobs.metrology.calibration.starting.direct_linear_transform import direct_linear_transform
-from sms_jobs.metrology.calibration.starting.homography import HomographyFit, fit_homography
+from sms_jobs.metrology.calibration.starting.homography import fit_homography
 from sms_jobs.metrology.calibration.starting.planar_intrinsics import (
     intrinsics_from_homographies,
     pose_from_homography,
     tilt,
 )
 from sms_jobs.metrology.calibration.starting.sensor_refinement import RefinedSensor, SeenPoints, refine_sensor
+from sms_jobs.metrology.calibration.starting.view_fit import ViewFit, fit_view
 from sms_jobs.metrology.geometry.camera import Pose, project
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics, Model, distort, fixed_by_default, undistort
 from sms_jobs.metrology.geometry.transforms import rotation_matrix
@@ -62,12 +63,12 @@ class SensorStart:
 
 def usable_views(
     views: Sequence[BoardView], bent: Collection[str] = ()
-) -> tuple[list[tuple[BoardView, HomographyFit]], list[Refusal]]:
-    """Return the views that show a board at all, with their homographies, and why the others do not.
+) -> tuple[list[tuple[BoardView, ViewFit]], list[Refusal]]:
+    """Return the views that show a board at all, with a pin-hole camera each, and why the others do not.
 
     `bent` names sensors whose lens bends straight lines by far more than a plain one.
     """
-    usable: list[tuple[BoardView, HomographyFit]] = []
+    usable: list[tuple[BoardView, ViewFit]] = []
     refused = []
     for view in views:
         n = len(view.point)
@@ -76,7 +77,7 @@ def usable_views(
             refused.append(Refusal(view.sensor, view.pose, n, reason))
             continue
         try:
-            fit = fit_homography(view.point[:, :2], view.pixel, view.sigma_px)
+            fit = fit_view(view)
         except CalibrationFailed as error:
             refused.append(Refusal(view.sensor, view.pose, n, str(error)))
             continue
@@ -92,17 +93,18 @@ def usable_views(
 
 
 def _candidates(
-    fits: Sequence[HomographyFit], size: tuple[int, int], known_principal_point: bool
+    fits: Sequence[ViewFit], size: tuple[int, int], known_principal_point: bool
 ) -> list[Intrinsics]:
     """Return inner parameters to begin with; plain guesses where no closed form holds."""
     columns, rows = size
     centre = (0.5 * (columns - 1), 0.5 * (rows - 1))
     found = []
-    ways = [True] if known_principal_point or len(fits) < 2 else [True, False]
+    several = sum(len(f.planes()) for f in fits) > 1
+    ways = [True, False] if several and not known_principal_point else [True]
     for known in ways:
         try:
             start = intrinsics_from_homographies(
-                [f.matrix for f in fits], centre, known_principal_point=known
+                [plane for f in fits for plane in f.planes()], centre, known_principal_point=known
             )
         except CalibrationFailed:
             continue
@@ -122,7 +124,8 @@ def _free(views: int, held: Mapping[str, float]) -> list[str]:
 def seen_pose(intrinsics: Intrinsics, point: Floats, pixel: Floats) -> Pose:
     """Return the pose of a board (x_sensor = R X_board + T) whose points (n, 3) a known lens sees at pixels.
 
-    Raises `CalibrationFailed` where fewer than six of the pixels have a ray.
+    Points of a flat board have z = 0. Raises `CalibrationFailed` where fewer than six of the pixels have a
+    ray.
     """
     i = intrinsics
     flat = undistort(i, (pixel - [i.cx, i.cy]) / [i.fx, i.fy])
@@ -139,6 +142,9 @@ def seen_pose(intrinsics: Intrinsics, point: Floats, pixel: Floats) -> Pose:
     axis, angle = np.array([-middle[1], middle[0], 0.0]), float(np.arccos(min(1.0, middle[2])))
     turn = rotation_matrix(axis * angle / max(float(np.linalg.norm(axis)), 1e-12))
     turned = rays @ turn
+    if point[:, 2].any():
+        pose = _pose_in_space(point[there], turned[:, :2] / turned[:, 2:])
+        return Pose.from_arrays(turn @ pose.matrix(), turn @ np.array(pose.translation))
     with np.errstate(all="ignore"):  # a lens that is far off makes no plane of a board
         homography = fit_homography(point[there, :2], turned[:, :2] / turned[:, 2:]).matrix
     if not np.isfinite(homography).all():
@@ -147,8 +153,30 @@ def seen_pose(intrinsics: Intrinsics, point: Floats, pixel: Floats) -> Pose:
     return Pose.from_arrays(turn @ pose.matrix(), turn @ np.array(pose.translation))
 
 
+def _pose_in_space(point: Floats, image: Floats) -> Pose:
+    """Return the pose in which a camera of focal length 1 sees points (n, 3), not on a plane, at (n, 2).
+
+    Terzakis and Lourakis 2020, as OpenCV has it: it holds however little the points are off a plane.
+    """
+    import cv2
+
+    found, turn, shift = cv2.solvePnP(point, image, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    if not found or not np.isfinite([turn, shift]).all():
+        raise CalibrationFailed("no pose of the cylinder fits what this lens sees of it")
+    return Pose.from_arrays(
+        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift[:, 0], np.float64)
+    )
+
+
+def _pose_of(view: BoardView, fit: ViewFit, start: Intrinsics) -> Pose:
+    """Return the pose of a board for a lens without distortion."""
+    if fit.matrix.shape == (3, 3):
+        return pose_from_homography(fit.matrix, start)
+    return seen_pose(start, view.in_space[fit.kept], view.pixel[fit.kept])
+
+
 def _fisheyes(
-    usable: Sequence[tuple[BoardView, HomographyFit]], size: tuple[int, int]
+    usable: Sequence[tuple[BoardView, ViewFit]], size: tuple[int, int]
 ) -> list[tuple[Intrinsics, list[Pose]]]:
     """Return the fisheyes without further distortion in which boards are flattest, with the boards' poses."""
     columns, rows = size
@@ -158,11 +186,11 @@ def _fisheyes(
             guess * columns, guess * columns, 0.5 * (columns - 1), 0.5 * (rows - 1), fisheye=1.0
         )
         try:
-            poses = [seen_pose(start, view.point, view.pixel) for view, _ in usable]
+            poses = [seen_pose(start, view.in_space, view.pixel) for view, _ in usable]
         except CalibrationFailed:
             continue
         off = [
-            np.linalg.norm(view.pixel - project(start, pose, view.point), axis=1)
+            np.linalg.norm(view.pixel - project(start, pose, view.in_space), axis=1)
             for (view, _), pose in zip(usable, poses, strict=True)
         ]
         if min(int(np.isfinite(one).sum()) for one in off) < _FEWEST_POINTS:
@@ -188,7 +216,7 @@ def as_rational(fisheye: Intrinsics, reach: float) -> Intrinsics:
 
 def start_sensor(
     name: str,
-    usable: Sequence[tuple[BoardView, HomographyFit]],
+    usable: Sequence[tuple[BoardView, ViewFit]],
     size: tuple[int, int],
     held: Mapping[str, float],
     model: Model = "plain",
@@ -233,7 +261,7 @@ def start_sensor(
         )
         best = views.centred(best, model)
     _check_focal(name, best, [view.pose for view, _ in usable])
-    if len(usable) == 1:
+    if len(usable) == 1 and "cx" not in views.free:
         notes.append(f"{name} saw one pose: its principal point was held in the middle of the image")
     return _own(best, usable, tuple(notes))
 
@@ -242,17 +270,18 @@ def start_sensor(
 class _Views:
     """The views of one sensor, and what of it is held."""
 
-    usable: tuple[tuple[BoardView, HomographyFit], ...]
+    usable: tuple[tuple[BoardView, ViewFit], ...]
     size: tuple[int, int]
     held: dict[str, float]
 
     @property
     def free(self) -> list[str]:
-        return _free(len(self.usable), self.held)
+        # A view of a cylinder has depth, and tells as much as two of a plane.
+        return _free(sum(1 if isinf(view.radius_mm) else 2 for view, _ in self.usable), self.held)
 
     @property
     def seen(self) -> list[SeenPoints]:
-        return [SeenPoints(view.point, view.pixel, view.sigma_px) for view, _ in self.usable]
+        return [SeenPoints(view.in_space, view.pixel, view.sigma_px) for view, _ in self.usable]
 
     def plain(self) -> RefinedSensor:
         """Return the best plain lens."""
@@ -260,7 +289,7 @@ class _Views:
         best = None
         for candidate in _candidates([fit for _, fit in self.usable], self.size, False):
             start = replace(candidate, **self.held)
-            poses = [pose_from_homography(fit.matrix, start) for _, fit in self.usable]
+            poses = [_pose_of(view, fit, start) for view, fit in self.usable]
             # Without the principal point at first: a poor focal length would drag it far away.
             near = refine_sensor(
                 seen,
@@ -328,7 +357,7 @@ class _Views:
             return refine_sensor(self.seen, start, found.poses, free=free, square_pixels=True)
         nearest = _candidates([f for _, f in self.usable], self.size, True)[0]
         start = replace(Intrinsics(nearest.fx, nearest.fy, *centre), **self.held)
-        poses = [pose_from_homography(fit.matrix, start) for _, fit in self.usable]
+        poses = [_pose_of(view, fit, start) for view, fit in self.usable]
         trusted = [fit.kept for _, fit in self.usable]
         return refine_sensor(self.seen, start, poses, free=free, square_pixels=True, trusted=trusted)
 
@@ -348,7 +377,7 @@ def _check_focal(name: str, found: RefinedSensor, poses: Sequence[str]) -> None:
 
 def _own(
     found: RefinedSensor,
-    usable: Sequence[tuple[BoardView, HomographyFit]],
+    usable: Sequence[tuple[BoardView, ViewFit]],
     notes: tuple[str, ...],
 ) -> SensorStart:
     kept, rms, poses = {}, {}, {}
@@ -361,7 +390,7 @@ def _own(
 
 def start_from_space(
     name: str,
-    usable: Sequence[tuple[BoardView, HomographyFit]],
+    usable: Sequence[tuple[BoardView, ViewFit]],
     board_poses: dict[str, Pose],
     held: Mapping[str, float],
 ) -> tuple[SensorStart, Pose]:
@@ -377,7 +406,7 @@ def start_from_space(
         raise CalibrationFailed(f"{name} saw no board whose place in the world is known")
     seen = [
         SeenPoints(
-            v.point @ board_poses[v.pose].matrix().T + board_poses[v.pose].translation, v.pixel, v.sigma_px
+            v.in_space @ board_poses[v.pose].matrix().T + board_poses[v.pose].translation, v.pixel, v.sigma_px
         )
         for v, _ in placed
     ]
