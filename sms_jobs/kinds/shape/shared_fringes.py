@@ -25,6 +25,9 @@ from sms_jobs.metrology.phase.texture_of_two import UNKNOWN_SPOTS, SeenTexture, 
 from sms_jobs.records.fields import PhaseMaps
 from sms_jobs.records.reasons import Reason
 
+_MOST_ROUGH = 2.0
+"""Deviations of what pixels hide of texture, by which phases may be off a parabola: it is not normal."""
+
 Shift: TypeAlias = tuple[Floats, Singles]
 """What texture does to the phases of a camera: see `texture_shift`."""
 
@@ -130,7 +133,7 @@ class SharedFringes:
         sigma = np.sqrt(np.square(self.own.maps.omega_sigma[:, self.usable]) + noise**2 + np.square(left))
         with np.errstate(invalid="ignore"):
             part = np.square(left / sigma)
-        far, doubtful = self.own.texture.beside(float(spots.variance[0]), most_px)
+        far, doubtful = self.own.texture.beside(spots.largest(0), most_px)
         corrected = Corrected(spots.mean, far, doubtful, part.astype(np.float32))
         return MetFringes(self._spread(matched, sigma, part), corrected, matched.place, matched.met.gap)
 
@@ -183,11 +186,10 @@ class SharedFringes:
             for one, v, shift in zip((self.own, self.other), spots.variance, shifts, strict=True)
         )
         shift, rough = shifts[1]
-        # What a pixel hides of the texture has no normal distribution, but a largest value.
-        most_rough = UNKNOWN_SPOTS.rough_px if spots.rough_px else 0.0
+        most_rough = min(_MOST_ROUGH * spots.rough_px, UNKNOWN_SPOTS.rough_px)
         off = np.hypot(np.sqrt(spots.covariance[1, 1]) * shift, most_rough * rough)
         off = np.hypot(self.other.maps.omega_sigma, off).astype(np.float32)
-        far, _ = texture.beside(float(spots.variance[1]), most_px)
+        far, _ = texture.beside(spots.largest(1), most_px)
         phases = PhaseMap(other, off, texture.usable & ~far, self.sensors.threads)
         found = phases.find(own[:, usable], self.own.maps.omega_sigma[:, usable])
         projector = self.sensors.projector

@@ -106,6 +106,10 @@ class Spots:
         variance = float(np.sqrt(self.covariance.mean()))
         return Blur(float(self.variance.mean()), variance, self.rough_px)
 
+    def largest(self, which: int) -> float:
+        """Return the s^2 of a camera, in px^2, that is a standard deviation above what is likely."""
+        return float(self.variance[which] + np.sqrt(self.covariance[which, which]))
+
     def left(self, shifts: tuple[Floats, Floats], spreads: tuple[Singles, Singles]) -> Singles:
         """Return the standard deviation that is left of texture in what the phases of both differ by, in rad.
 
