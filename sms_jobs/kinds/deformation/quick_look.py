@@ -35,7 +35,12 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, SURFACE, UNCERTAINTY, Product
-from sms_jobs.kinds.shape.sparse_surface import sparse_stereo_surface, sparse_surface, with_regions
+from sms_jobs.kinds.shape.sparse_surface import (
+    sparse_stereo_fringes_surface,
+    sparse_stereo_surface,
+    sparse_surface,
+    with_regions,
+)
 from sms_jobs.kinds.shape.stereo import KIND as STEREO
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.textures import white_texture
@@ -205,6 +210,8 @@ def _first_part(progress: Progress) -> Progress:
 
 def _surface(inputs: Inputs, measurement: Measurement, step: int, progress: Progress) -> Surface:
     """Return the shape at every `step`-th pixel."""
+    if inputs.view.projectors and inputs.view.other_cameras:
+        return sparse_stereo_fringes_surface(inputs, step, progress)
     if inputs.view.projectors:
         return sparse_surface(inputs, _CALIBRATION, measurement, step, progress)
     return sparse_stereo_surface(inputs, inputs.context.stereo, step, progress)

@@ -127,6 +127,7 @@ def run(inputs: Inputs, parameters: StereoFringesParameters, progress: Progress)
     reason[unseen] &= ~np.uint32(Reason.OUT_OF_VOLUME)  # nobody knows where it is
     surface = as_surface(str(inputs.view), met.points, reason)
     statistics = _statistics(surface, own.maps, epipolar)
+    statistics["blur_px"] = float(np.sqrt(met.corrected.blur.variance))
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: own.maps}
     factor = calibration_factor(inputs, _CALIBRATION, calibration)
     if factor is not None:
