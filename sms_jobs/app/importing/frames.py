@@ -231,8 +231,8 @@ class _Import:
         unknown = [p for p in arrangement.views if p not in campaign.recordings]
         if unknown:
             raise InvalidInput(
-                f"campaign {campaign.name} has no view {', '.join(unknown)}; it has "
-                f"{', '.join(campaign.recordings)}"
+                f"campaign {campaign.name} has no view {', '.join(unknown)} of which frames are recorded; it "
+                f"has {', '.join(campaign.recordings)}"
             )
         if layout.sequence != campaign.sequence:
             raise InvalidInput(

@@ -189,7 +189,7 @@ def _require_frames(view: View) -> None:
     """Raise `InvalidInput` for a view that frames of fringes are not recorded of."""
     if view.projector and view.other_cameras:
         recorded = " and ".join(map(str, view.recordings))
-        raise InvalidInput(f"frames are not of the view '{view}' but of {recorded}: name each camera's so")
+        raise InvalidInput(f"the view {view} is recorded as {recorded}: name the frames of each camera so")
 
 
 def abridged(faults: Sequence[str]) -> tuple[str, ...]:

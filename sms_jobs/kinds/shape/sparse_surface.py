@@ -1,4 +1,4 @@
-"""The surface of a camera and a projector, of several cameras, or of both, at some pixels of the image only."""
+"""The surface of a camera and a projector, of several cameras, or of both, at some pixels only."""
 
 from __future__ import annotations
 

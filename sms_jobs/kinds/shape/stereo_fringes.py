@@ -107,9 +107,9 @@ def run(inputs: Inputs, parameters: StereoFringesParameters, progress: Progress)
     recorded = inputs.subject.recordings
     measured = [inputs.read(_FRAMES, MEASURED, own) for own in recorded]
     each = zip(inputs.view.triangulating, recorded, measured, strict=True)
-    sensors = [_camera(calibration, *one) for one in each]
+    camera, partner = (_camera(calibration, *one) for one in each)
     _require_alike(inputs.subject, measured)
-    pair = sensor_pair(*sensors, measured[0].sequence, inputs.threads)
+    pair = sensor_pair(camera, partner, measured[0].sequence, inputs.threads)
     geometry = Geometry(pair, calibration.volume, gap_sigma_px(inputs, _CALIBRATION, parameters, calibration))
     own, other = (
         SeenFringes.of(

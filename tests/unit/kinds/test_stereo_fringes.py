@@ -14,17 +14,19 @@ from sms_jobs.errors import InvalidInput, MeasurementFailed
 from sms_jobs.kinds.kind import CALIBRATION, DatasetOutput, Inputs
 from sms_jobs.kinds.products import CALIBRATION_FACTOR
 from sms_jobs.kinds.shape import stereo_fringes
+from sms_jobs.kinds.shape.sparse_surface import sparse_stereo_fringes_surface
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.records.calibration import CalibrationFactor, CalibrationUncertainty
 from sms_jobs.records.campaign import LoadState, Specimen
 from sms_jobs.records.fields import Surface
-from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, PlateWithHoleAndStep, ProjectorResponse, Scene, Speckle
-from sms_jobs.records.sensors import Box, Calibration, Rig, Role
+from sms_jobs.records.sensors import Box, Calibration, Rig
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.views import Role
 from sms_jobs.testing.in_memory import InMemory
 from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import START, Lens, aimed, made, placed
@@ -79,13 +81,12 @@ def recorded(surface: str, speckle_px: float = 0.0, sequence: FringeSequence | N
     )
 
 
-def output_of(
+def inputs_of(
     about: Recorded,
     calibration: Calibration | None = None,
     uncertainty: CalibrationUncertainty | None = None,
     frames: tuple[Measurement, Measurement] | None = None,
-    **parameters: Any,
-) -> DatasetOutput:
+) -> Inputs:
     known: dict[str, Any] = {"calibration": calibration or about.calibration}
     if uncertainty is not None:
         known["uncertainty"] = uncertainty
@@ -93,10 +94,25 @@ def output_of(
         f"measurement {own}": InMemory(own, {"measurement": one})
         for own, one in zip(SUBJECT.recordings, frames or about.frames, strict=True)
     } | {CALIBRATION: InMemory(SUBJECT, known)}
+    return Inputs(SUBJECT, None, datasets)
+
+
+def output_of(
+    about: Recorded,
+    calibration: Calibration | None = None,
+    uncertainty: CalibrationUncertainty | None = None,
+    frames: tuple[Measurement, Measurement] | None = None,
+    **parameters: Any,
+) -> DatasetOutput:
+    inputs = inputs_of(about, calibration, uncertainty, frames)
     chosen = stereo_fringes.StereoFringesParameters(**parameters)
-    (output,) = stereo_fringes.run(Inputs(SUBJECT, None, datasets), chosen, lambda fraction, message="": None)
+    (output,) = stereo_fringes.run(inputs, chosen, unheard)
     assert isinstance(output, DatasetOutput)
     return output
+
+
+def unheard(fraction: float, message: str = "") -> None:
+    """Take what is said of the progress."""
 
 
 @cache
@@ -213,7 +229,7 @@ def test_what_cannot_be_measured_is_refused(wrong: Callable[[Recorded], dict[str
         output_of(about, **wrong(about))
 
 
-def test_fringes_of_one_orientation_and_stripes_are_refused() -> None:
+def test_fringes_of_one_orientation_are_refused() -> None:
     about = recorded("curved")
     single = FringeSequence(about.frames[0].sequence.densities, orientations_rad=(0.0,))
     frames = tuple(replace(one, sequence=single) for one in about.frames)
@@ -248,9 +264,16 @@ def test_exchanged_cameras_and_another_calibration_are_refused() -> None:
     assert (surface.reason[about.together] & Reason.LARGE_RAY_GAP != 0).mean() > 0.9
 
 
-def test_frames_of_two_recordings_have_nothing_in_common() -> None:
+def test_a_camera_that_sees_no_fringes_is_told() -> None:
     about = recorded("curved")
     first, second = about.frames
-    dark = replace(second, frames=type(second.frames)(np.zeros(second.frames.shape, np.uint16)))
-    with pytest.raises(MeasurementFailed):
+    dark = replace(second, frames=ArrayStack(np.zeros(second.frames.shape, np.uint16)))
+    with pytest.raises(MeasurementFailed, match="C1 and C2 see no point of the fringes together"):
         output_of(about, frames=(first, dark))
+
+
+def test_a_quick_look_has_every_nth_point_of_the_same_surface() -> None:
+    about, whole = recorded("curved", 4.0), surface_of("curved", 4.0)
+    sparse = sparse_stereo_fringes_surface(inputs_of(about), 4, unheard)
+    np.testing.assert_array_equal(sparse.position, whole.position[:, 2::4, 2::4])
+    np.testing.assert_array_equal(sparse.reason, whole.reason[2::4, 2::4])

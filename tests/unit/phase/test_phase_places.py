@@ -70,7 +70,7 @@ def test_nothing_is_found_across_a_step(turned: bool) -> None:
     beyond = (Y if turned else X) >= edge
     omega[:, beyond] += np.array([0.03, 0.02])[:, None]  # 3 px
     middles = map_of(omega).middles
-    lines = middles.any(axis=1 if turned else 0)
+    lines = np.asarray(middles.any(axis=1 if turned else 0))
     assert not lines[edge - 2 : edge + 2].any()
     assert lines[edge - 4]
     assert lines[edge + 4]
