@@ -19,23 +19,20 @@ from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.records.calibration import CalibrationFactor, CalibrationUncertainty
-from sms_jobs.records.campaign import LoadState, Specimen
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
-from sms_jobs.records.scene import CameraResponse, PlateWithHoleAndStep, ProjectorResponse, Scene, Speckle
-from sms_jobs.records.sensors import Box, Calibration, Rig
+from sms_jobs.records.scene import PlateWithHoleAndStep
+from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import Role
 from sms_jobs.testing.in_memory import InMemory
 from sms_jobs.testing.shelf import Shelf
-from sms_jobs.virtual_rig.campaigns import START, Lens, aimed, made, placed
-from sms_jobs.virtual_rig.stereo_campaigns import curved, stereo_rig
+from sms_jobs.virtual_rig.stereo_campaigns import curved, shared_fringes_campaign, shared_fringes_rig
 from sms_jobs.virtual_rig.truth import exact_shape
 
 COLUMNS, ROWS = 224, 176
 FIELD_MM = 500.0 / 2.8
-PX_MM = FIELD_MM / COLUMNS
 STEPPED = PlateWithHoleAndStep(120.0, 96.0, (-32.0, 10.0), 13.0, (30.0, -10.0), (36.0, 40.0), 30.0)
 """Its step of 30 mm hides some of the plate from the one camera or the other, which are 20 degrees apart."""
 SUBJECT = Subject("trio", "S00", "C1C2P1")
@@ -55,22 +52,14 @@ class Recorded:
 
 
 @cache
-def recorded(surface: str, speckle_px: float = 0.0, sequence: FringeSequence | None = None) -> Recorded:
-    lens = Lens(2.2, -0.03, 0.05, -2e-4, 3e-4)
-    projector = aimed("P1", 640, 480, lens, (30.0, 180.0, 460.0), -0.02)
-    rig = Rig("virtual-trio", (*stereo_rig(COLUMNS, ROWS).sensors, projector))
-    scene = Scene(
-        rig,
-        STEPPED if surface == "stepped" else curved(0.8 * FIELD_MM),
-        Speckle(diameter_mm=speckle_px * PX_MM) if speckle_px else None,
-        placed((0.03, -0.02, 0.01), (0.7, -1.0, 3.5)),
-        CameraResponse(),
-        ProjectorResponse(defocus_px=0.7, visibility=0.9),
+def recorded(surface: str, speckle_px: float = 0.0) -> Recorded:
+    calibration, campaign = shared_fringes_campaign(
+        "trio",
+        rig=shared_fringes_rig(COLUMNS, ROWS),
+        surface=STEPPED if surface == "stepped" else curved(0.8 * FIELD_MM),
+        speckle_px=speckle_px,
+        sequence=FringeSequence((32, 31, 28, 16)),
     )
-    volume = Box((-100.0, -100.0, -60.0), (100.0, 100.0, 60.0))
-    states = (LoadState("S00", time=START),)
-    shown = FringeSequence((32, 31, 28, 16)) if sequence is None else sequence
-    calibration, campaign = made("trio", volume, Specimen("trio"), states, shown, scene)
     shelf = Shelf(replace(campaign, views=(str(SUBJECT.view),)), 1)
     shelf.record(Subject("trio", "S00"))
     frames = tuple(shelf.records["measurement", own]["measurement"] for own in SUBJECT.recordings)
