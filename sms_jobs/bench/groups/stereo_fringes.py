@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.kinds.kind import CALIBRATION
+from sms_jobs.kinds.kind import CALIBRATION, Kind
 from sms_jobs.kinds.shape import reconstruct, stereo_fringes
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
@@ -25,7 +26,7 @@ _MICRO = 1e3  # um / mm
 _FAR = 10.0
 _SURFACES = {"curved": curved, "stepped": stepped}
 _TEXTURES = {"plain": 0.0, "speckled": 4.0}
-_VIEWS = {"C1C2P1": stereo_fringes.KIND, "C1P1": reconstruct.KIND}
+_VIEWS: dict[str, Kind[Any]] = {"C1C2P1": stereo_fringes.KIND, "C1P1": reconstruct.KIND}
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ def measure(run: Run) -> Iterator[Found]:
         "rig",
         f"two cameras of {columns} x {columns * 4 // 5} px, 20 degrees apart at 500 mm, 12 bit, blur 0.5 px, "
         "a projector of 640 x 480 px above them, default sequence; speckles of 4 px; errors against the "
-        "exact truth over all valid points, 'far' those beyond ten standard deviations, 'calibrated' the view C1P1",
+        "exact truth over all valid points, 'far' those beyond ten standard deviations, 'calibrated' the "
+        "view C1P1",
     )
 
 

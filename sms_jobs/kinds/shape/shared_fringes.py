@@ -9,11 +9,11 @@ import numpy as np
 
 from sms_jobs.kinds.shape.phases import Phases
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
-from sms_jobs.metrology.geometry.partner_camera import MetPlaces, meet_places
+from sms_jobs.metrology.geometry.partner_camera import meet_places
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
-from sms_jobs.metrology.phase.phase_places import PhaseMap, carried
+from sms_jobs.metrology.phase.phase_places import PhaseMap, Places, carried
 from sms_jobs.metrology.phase.texture_error import (
     BLUR_ROWS,
     SETTLED,
@@ -27,6 +27,8 @@ from sms_jobs.records.reasons import Reason
 
 _MOST_ROUGH = 2.0
 """Deviations of what pixels hide of texture, by which phases may be off a parabola: it is not normal."""
+
+_BLOCK = 1 << 16
 
 Shift: TypeAlias = tuple[Floats, Singles]
 """What texture does to the phases of a camera: see `texture_shift`."""
@@ -86,12 +88,14 @@ class MetFringes:
 class _Matched:
     """The n usable pixels of the reference camera, matched.
 
-    `depth_by_omega` in mm/rad and `gap_by_omega` in px/rad, (directions, n), are how distances along the rays
-    and gaps move with phases.
+    See `Places` and `MetPlaces`; `depth_by_omega` in mm/rad and `gap_by_omega` in px/rad, (directions, n),
+    are how distances along the rays and gaps move with phases.
     """
 
     place: Floats
-    met: MetPlaces
+    xyz: Floats
+    gap: Floats
+    pixel_mm: Floats
     depth_by_omega: Floats
     gap_by_omega: Floats
 
@@ -135,7 +139,7 @@ class SharedFringes:
             part = np.square(left / sigma)
         far, doubtful = self.own.texture.beside(spots.largest(0), most_px)
         corrected = Corrected(spots.mean, far, doubtful, part.astype(np.float32))
-        return MetFringes(self._spread(matched, sigma, part), corrected, matched.place, matched.met.gap)
+        return MetFringes(self._spread(matched, sigma, part), corrected, matched.place, matched.gap)
 
     def gaps_exchanged_px(self, place: Floats) -> Floats:
         """Return the gaps (n,) of places if each camera had the calibration of the other."""
@@ -153,7 +157,7 @@ class SharedFringes:
             return spots, shifts
         matched, telling = self._match(spots, shifts, most_px), self._telling()
         slope, _ = self._gap_slopes(matched, shifts)
-        gap, noise = matched.met.gap - spots.variance @ slope, self._gap_noise(matched)
+        gap, noise = matched.gap - spots.variance @ slope, self._gap_noise(matched)
         for _ in range(TEXTURE_ROUNDS):
             before = spots.variance
             slope, rough = self._gap_slopes(matched, shifts)
@@ -191,18 +195,20 @@ class SharedFringes:
         off = np.hypot(self.other.maps.omega_sigma, off).astype(np.float32)
         far, _ = texture.beside(spots.largest(1), most_px)
         phases = PhaseMap(other, off, texture.usable & ~far, self.sensors.threads)
-        found = phases.find(own[:, usable], self.own.maps.omega_sigma[:, usable])
-        projector = self.sensors.projector
-        met = meet_places(
-            self.sensors.pose.centre(),
-            self.sensors.rays()[usable],
-            (projector.intrinsics, projector.pose),
-            found.place,
-        )
-        by_omega = (
+        omega, sigma = own[:, usable], self.own.maps.omega_sigma[:, usable]
+        rays, count = self.sensors.rays()[usable], omega.shape[1]
+        blocks = (slice(start, start + _BLOCK) for start in range(0, max(count, 1), _BLOCK))
+        matched = [self._met(phases.find(omega[:, b], sigma[:, b]), rays[b]) for b in blocks]
+        return _Matched(*(np.concatenate(each, axis=-1) for each in zip(*matched, strict=True)))
+
+    def _met(self, found: Places, rays: Floats) -> tuple[Floats, ...]:
+        """Return what `_Matched` has of some places."""
+        partner = (self.sensors.projector.intrinsics, self.sensors.projector.pose)
+        met = meet_places(self.sensors.pose.centre(), rays, partner, found.place)
+        depth, gap = (
             np.einsum("in,ikn->kn", by, found.by_omega) for by in (met.depth_by_place, met.gap_by_place)
         )
-        return _Matched(found.place, met, *by_omega)
+        return found.place, met.xyz, met.gap, met.pixel_mm, depth, gap
 
     def _at_points(self, place: Floats, shifts: tuple[Shift, Shift]) -> tuple[Shift, Shift]:
         """Return what the texture does to the phases of both cameras at the points, (directions, n) each."""
@@ -231,14 +237,14 @@ class SharedFringes:
 
     def _spread(self, matched: _Matched, sigma: Floats, part: Floats) -> Triangulation:
         """Return the points as an image, with their covariance by the standard deviations of phases."""
-        usable, met = self.usable, matched.met
+        usable = self.usable
         rays = self.sensors.rays()[usable]
         moves = np.square(matched.depth_by_omega * sigma)
         variance = moves.sum(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
             told = (moves * part).sum(axis=0) / variance
         covariance = np.stack([rays[:, i] * rays[:, j] * variance for i, j in PACKED])
-        gap_sigma = met.pixel_mm * np.sqrt(np.square(matched.gap_by_omega * sigma).sum(axis=0))
+        gap_sigma = matched.pixel_mm * np.sqrt(np.square(matched.gap_by_omega * sigma).sum(axis=0))
 
         def image(values: Floats) -> Floats:
             spread = np.full((*values.shape[:-1], *usable.shape), np.nan)
@@ -248,9 +254,9 @@ class SharedFringes:
         shares = image(told)
         shares[[0, -1]] = shares[:, [0, -1]] = 0.0  # the other side of a blob at the border is not seen
         return Triangulation(
-            image(met.xyz),
+            image(matched.xyz),
             image(covariance).astype(np.float32),
-            image(met.pixel_mm * met.gap).astype(np.float32),
+            image(matched.pixel_mm * matched.gap).astype(np.float32),
             image(gap_sigma).astype(np.float32),
             shares.astype(np.float32),
         )

@@ -8,10 +8,7 @@ one.
 
 The phases of the other camera are known at its pixels, and looked up between them on parabolas through nine.
 That averages their noise, which neighbours then share: it is stated as of single pixels, so that means over
-many pixels have the noise that is stated of them, and a single point up to a fifth less than it states.
-Texture moves the light of a pixel to the same point in both images as far as these are alike. What
-differs is told by the gaps, as with a projector, but not how large the spots of both are: a bend of the
-surface within a pixel is corrected by `blur_px` where that is given, and stated as uncertain otherwise.
+many pixels have the noise that is stated of them, and a single point a seventh less than it states.
 """
 
 from __future__ import annotations
@@ -67,7 +64,6 @@ _EXCHANGED = 5.0
 """How much better cameras the other way round have to explain the places to be believed."""
 _CLOSE_PX = 0.1
 """Median distance of places from the images of their rays that needs no other explanation."""
-_SAMPLE_ROWS = 64
 
 
 class StereoFringesParameters(TrustParameters):
@@ -77,7 +73,7 @@ class StereoFringesParameters(TrustParameters):
         None,
         ge=0.0,
         description="standard deviation of the spot that a pixel sees, of both cameras, for the corrections "
-        "of texture and bend; 0 for no correction; if not given, what differs is found from the ray gaps",
+        "of texture and bend; found from the ray gaps if not given, 0 for no correction",
     )
     maximum_shift_px: float = Field(
         LARGEST_SHIFT_PX,

@@ -27,7 +27,6 @@ _NEWTON = 3  # steps on a parabola that is nearly a plane: each squares what is 
 _WITHIN_PX = 0.6  # of the middle of a parabola: half a pixel, and some more so that none is passed to and fro
 _CHANCE = 1e-6  # at which noise alone makes nine pixels no parabola, or a step
 _STEP_SIGMAS = 5.0
-_BLOCK = 1 << 16
 
 _FLAT, _TILT, _BEND = (np.array(one) / np.linalg.norm(one) for one in ((1, 1, 1), (-1, 0, 1), (1, -2, 1)))
 """Orthonormal polynomials over three pixels."""
@@ -83,28 +82,9 @@ class PhaseMap:
 
     @cached_property
     def middles(self) -> Mask:
-        """The pixels (rows, columns) about which nine pixels are a piece of one surface.
-
-        Nine pixels within the outermost of what is usable, which follow a parabola as far as noise tells. A
-        step along rows or columns is one, too: there the bends of neighbouring threes differ.
-        """
+        """The pixels (rows, columns) about which nine are a piece of one surface: see `on_parabolas`."""
         inside = self.usable & ~at_edge(self.usable, _SMALLEST_GAP)
-        whole = ndimage.binary_erosion(inside, np.ones((3, 3), dtype=bool))
-        omega = np.where(inside, self.omega, 0.0)
-        variance = self._mean_variance
-        pairs = ((_TILT, _BEND), (_BEND, _TILT), (_BEND, _BEND))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            square = sum(
-                _filtered(one, down, right) ** 2 / v
-                for one, v in zip(omega, variance, strict=True)
-                for down, right in pairs
-            )
-            good = whole & (square < float(chdtri(3 * len(omega), _CHANCE)))
-            for axis, (down, right) in ((1, (_FLAT, _BEND)), (0, (_BEND, _FLAT))):
-                # Second differences of neighbours share pixels: their difference has the variance 20 / 6.
-                bends = np.array([_filtered(one, down, right) for one in omega]) / np.sqrt(variance)
-                good &= _bends_alike(bends, whole, axis)
-        return np.asarray(good)
+        return on_parabolas(np.where(inside, self.omega, 0.0), self._mean_variance, inside)
 
     @cached_property
     def _mean_variance(self) -> Floats:
@@ -142,22 +122,18 @@ class PhaseMap:
         return near
 
     def find(self, omega: Floats, sigma: Singles) -> Places:
-        """Return where phases (directions, n) of standard deviations are seen, both in rad."""
-        count = omega.shape[1]
-        found = Places(np.full((2, count), np.nan), np.full((2, len(omega), count), np.nan))
-        for start in range(0, count, _BLOCK):
-            some = slice(start, start + _BLOCK)
-            self._find(omega[:, some], sigma[:, some], found.place[:, some], found.by_omega[..., some])
-        return found
+        """Return where phases (directions, n) of standard deviations are seen, both in rad.
 
-    def _find(self, omega: Floats, sigma: Singles, place: Floats, by_omega: Floats) -> None:
-        """Do the work of `find` for a block: by Newton's method on the parabola about the nearest pixel."""
+        By Newton's method on the parabola about the nearest pixel, and from pixel to pixel.
+        """
+        count = omega.shape[1]
+        place, by_omega = np.full((2, count), np.nan), np.full((2, len(omega), count), np.nan)
         near = self._nearest(omega)
         left = np.flatnonzero(near >= 0)
         rows, columns = np.divmod(near[left], self.usable.shape[1])
         for _ in range(_MOVES):
             if not len(left):
-                return
+                break
             off, slopes = self._on_parabola(omega[:, left], sigma[:, left], rows, columns)
             with np.errstate(invalid="ignore"):
                 here = (np.abs(off) <= _WITHIN_PX).all(axis=0)
@@ -172,6 +148,7 @@ class PhaseMap:
             inside &= (rows < self.usable.shape[0]) & (columns < self.usable.shape[1])
             inside[inside] = self.middles[rows[inside], columns[inside]]
             left, rows, columns = left[inside], rows[inside], columns[inside]
+        return Places(place, by_omega)
 
     def _on_parabola(
         self, omega: Floats, sigma: Singles, rows: NDArray[np.intp], columns: NDArray[np.intp]
@@ -193,6 +170,37 @@ class PhaseMap:
                 slopes = np.stack([weight * (yy * by_x - xy * by_y), weight * (xx * by_y - xy * by_x)]) / area
                 off = off + np.einsum("ikn,kn->in", slopes, omega - value)
         return off, slopes
+
+
+def on_parabolas(omega: Floats, variance: Floats, known: Mask) -> Mask:
+    """Return about which pixels (rows, columns) nine follow a parabola, as far as noise tells.
+
+    Parameters
+    ----------
+    omega, variance
+        (directions, rows, columns): phases in rad, and the mean of their variances over the nine pixels.
+    known
+        (rows, columns): whose phases there are.
+
+    Notes
+    -----
+    Of the nine products of orthonormal polynomials over three pixels three are none of a parabola; their
+    squares follow a chi-square law. A step along rows or columns is a parabola for three pixels, but not for
+    four: there the bends of neighbours differ, whose difference has 20 / 6 of their variance.
+    """
+    whole = ndimage.binary_erosion(known, np.ones((3, 3), dtype=bool))
+    others = ((_TILT, _BEND), (_BEND, _TILT), (_BEND, _BEND))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        square = sum(
+            _filtered(one, down, right) ** 2 / v
+            for one, v in zip(omega, variance, strict=True)
+            for down, right in others
+        )
+        good = whole & (square < float(chdtri(3 * len(omega), _CHANCE)))
+        for axis, (down, right) in ((1, (_FLAT, _BEND)), (0, (_BEND, _FLAT))):
+            bends = np.array([_filtered(one, down, right) for one in omega]) / np.sqrt(variance)
+            good &= _bends_alike(bends, whole, axis)
+    return np.asarray(good)
 
 
 def _filtered(image: Floats, down: Floats, right: Floats) -> Floats:

@@ -208,7 +208,7 @@ def other_orientation(about: Recorded) -> dict[str, Any]:
     ("wrong", "words"),
     [
         (other_size, "the frames of trio/S00/C2P1 are 224 x 176 px but C2 is calibrated for 226 x 176 px"),
-        (without_c2, "rig virtual-trio has no sensor C2; it has C1, P1"),
+        (without_c2, "rig virtual-shared-fringes has no sensor C2; it has C1, P1"),
         (other_orientation, "saw fringes of different orientations: record or import both with one sequence"),
     ],
 )
