@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
 from sms_jobs.kinds.shape.phases import Phases
-from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
+from sms_jobs.metrology.arrays import Floats, Mask, Reasons
 from sms_jobs.metrology.geometry.partner_camera import meet_places
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.phase.phase_places import PhaseMap, Places, carried
-from sms_jobs.metrology.phase.texture_error import (
-    BLUR_ROWS,
-    SETTLED,
-    TEXTURE_ROUNDS,
-    Corrected,
-    textured_interior,
+from sms_jobs.metrology.phase.texture_error import BLUR_ROWS, Corrected, textured_interior
+from sms_jobs.metrology.phase.texture_of_two import (
+    UNKNOWN_ROUGH_PX,
+    SeenTexture,
+    Shift,
+    Spots,
+    estimate_rough,
+    estimate_spot,
 )
-from sms_jobs.metrology.phase.texture_of_two import UNKNOWN_SPOTS, SeenTexture, Spots, estimate_spots
 from sms_jobs.records.fields import PhaseMaps
 from sms_jobs.records.reasons import Reason
 
@@ -29,9 +29,8 @@ _MOST_ROUGH = 2.0
 """Deviations of what pixels hide of texture, by which phases may be off a parabola: it is not normal."""
 
 _BLOCK = 1 << 16
-
-Shift: TypeAlias = tuple[Floats, Singles]
-"""What texture does to the phases of a camera: see `texture_shift`."""
+_ROUNDS = 2
+"""By which slopes of phases are free of what the texture does to them."""
 
 
 @dataclass(frozen=True)
@@ -150,30 +149,16 @@ class SharedFringes:
 
     def _spots(self, blur_px: float | None, most_px: float) -> tuple[Spots, tuple[Shift, Shift]]:
         """Return the spots of both cameras, and what the texture does to their phases."""
-        seen = (self.own, self.other)
-        spots = UNKNOWN_SPOTS if blur_px is None else Spots.known(blur_px)
-        shifts = self._shifts(spots, tuple(one.texture.shift(one.maps.omega) for one in seen))
+        own, other = (_spot(seen, blur_px) for seen in (self.own, self.other))
+        spots = Spots(np.array([own[0], other[0]]), np.array([own[1], other[1]]))
+        shifts = (own[2], other[2])
         if blur_px == 0.0:
-            return spots, shifts
+            return replace(spots, rough_px=0.0), shifts
         matched, telling = self._match(spots, shifts, most_px), self._telling()
-        slope, _ = self._gap_slopes(matched, shifts)
-        gap, noise = matched.gap - spots.variance @ slope, self._gap_noise(matched)
-        for _ in range(TEXTURE_ROUNDS):
-            before = spots.variance
-            slope, rough = self._gap_slopes(matched, shifts)
-            spots = estimate_spots(gap[telling], noise[telling], slope[:, telling], rough[telling], blur_px)
-            shifts = self._shifts(spots, shifts)
-            if (np.abs(spots.variance - before) <= SETTLED * spots.variance).all():
-                break
-        return spots, shifts
-
-    def _shifts(self, spots: Spots, shifts: tuple[Shift, ...]) -> tuple[Shift, Shift]:
-        """Return what the texture does to phases, by slopes that it disturbs less."""
-        own, other = (
-            one.texture.shift(one.corrected(float(v), shift))
-            for one, v, shift in zip((self.own, self.other), spots.variance, shifts, strict=True)
-        )
-        return own, other
+        slope, rough = self._gap_slopes(matched, shifts)
+        noise = self._gap_noise(matched)
+        found = estimate_rough(matched.gap[telling], noise[telling], slope[telling], rough[telling])
+        return replace(spots, rough_px=found), shifts
 
     def _telling(self) -> Mask:
         """Return which of the usable pixels (n,) tell the spots: on texture, of some rows."""
@@ -190,8 +175,8 @@ class SharedFringes:
             for one, v, shift in zip((self.own, self.other), spots.variance, shifts, strict=True)
         )
         shift, rough = shifts[1]
-        most_rough = min(_MOST_ROUGH * spots.rough_px, UNKNOWN_SPOTS.rough_px)
-        off = np.hypot(np.sqrt(spots.covariance[1, 1]) * shift, most_rough * rough)
+        most_rough = min(_MOST_ROUGH * spots.rough_px, UNKNOWN_ROUGH_PX)
+        off = np.hypot(spots.sigma[1] * shift, most_rough * rough)
         off = np.hypot(self.other.maps.omega_sigma, off).astype(np.float32)
         far, _ = texture.beside(spots.largest(1), most_px)
         phases = PhaseMap(other, off, texture.usable & ~far, self.sensors.threads)
@@ -219,14 +204,10 @@ class SharedFringes:
         )
 
     def _gap_slopes(self, matched: _Matched, shifts: tuple[Shift, Shift]) -> tuple[Floats, Floats]:
-        """Return how gaps change with s^2 of both cameras, (2, n) in 1/px, and what is not seen of texture.
-
-        The correction takes s^2 times the shift away from the phases: of the other camera, from those that
-        are looked up, which is as much to be added to those that are looked for.
-        """
-        (own, rough), (other, other_rough) = self._at_points(matched.place, shifts)
+        """Return how gaps (n,) change with s^2 of the reference camera, in 1/px, and with what is hidden."""
+        (own, rough), (_, other_rough) = self._at_points(matched.place, shifts)
         by_gap = matched.gap_by_omega
-        slope = np.stack([-np.sum(by_gap * own, axis=0), np.sum(by_gap * other, axis=0)])
+        slope = np.sum(by_gap * own, axis=0)
         return slope, np.sqrt(np.sum(np.square(by_gap * np.hypot(rough, other_rough)), axis=0))
 
     def _gap_noise(self, matched: _Matched) -> Floats:
@@ -260,3 +241,13 @@ class SharedFringes:
             image(gap_sigma).astype(np.float32),
             shares.astype(np.float32),
         )
+
+
+def _spot(seen: SeenFringes, blur_px: float | None) -> tuple[float, float, Shift]:
+    """Return s^2 of a camera and its standard deviation, and what the texture does to its phases."""
+    if blur_px is None:
+        return estimate_spot(seen.maps.omega, seen.maps.omega_sigma, seen.texture)
+    shift = seen.texture.shift(seen.maps.omega)
+    for _ in range(_ROUNDS if blur_px else 0):
+        shift = seen.texture.shift(seen.corrected(blur_px**2, shift))
+    return blur_px**2, 0.0, shift

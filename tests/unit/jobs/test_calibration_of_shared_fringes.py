@@ -13,8 +13,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.specimens.campaigns import add_view
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.archiving import acceptances
-from sms_jobs.jobs.archiving.calibrations import register_calibration
-from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.archiving.registration import register_calibration, register_campaign
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.views import Role
 from sms_jobs.virtual_rig.stereo_campaigns import shared_fringes_campaign
