@@ -112,7 +112,7 @@ def _refuse_other_than_campaign(session: Session, sensors: Sensors, name: str, w
 def _sensors_of(campaign: Campaign) -> Sensors:
     """Return what a campaign says of the sensors that have to be calibrated.
 
-    Of a virtual rig all, of others what their names tell.
+    Of a virtual rig all that is known of them, of others what their names tell.
     """
     names = dict.fromkeys(name for view in campaign.views for name in view_of(view).triangulating)
     if campaign.scene is not None:

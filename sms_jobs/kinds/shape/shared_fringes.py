@@ -27,10 +27,9 @@ from sms_jobs.records.reasons import Reason
 
 _MOST_ROUGH = 2.0
 """Deviations of what pixels hide of texture, by which phases may be off a parabola: it is not normal."""
-
 _BLOCK = 1 << 16
 _ROUNDS = 2
-"""By which slopes of phases are free of what the texture does to them."""
+"""After which slopes of phases are free of what the texture does to them."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ class SharedFringes:
         Parameters
         ----------
         blur_px
-            Standard deviation of the spots of both cameras, 0 for no correction; found from the gaps if None.
+            Standard deviation of the spots of both cameras, 0 for no correction; found if None.
         most_px
             How far off a pixel's middle its light may come from.
 
@@ -137,7 +136,7 @@ class SharedFringes:
         with np.errstate(invalid="ignore"):
             part = np.square(left / sigma)
         far, doubtful = self.own.texture.beside(spots.largest(0), most_px)
-        corrected = Corrected(spots.mean, far, doubtful, part.astype(np.float32))
+        corrected = Corrected(spots.mean, far, doubtful, self._image(part).astype(np.float32))
         return MetFringes(self._spread(matched, sigma, part), corrected, matched.place, matched.gap)
 
     def gaps_exchanged_px(self, place: Floats) -> Floats:
@@ -161,7 +160,7 @@ class SharedFringes:
         return replace(spots, rough_px=found), shifts
 
     def _telling(self) -> Mask:
-        """Return which of the usable pixels (n,) tell the spots: on texture, of some rows."""
+        """Return which of the usable pixels (n,) tell what is hidden: on texture, of some rows."""
         inside = textured_interior(self.usable, self.own.texture.gradient)
         some = np.zeros_like(inside)
         some[:: max(len(inside) // BLUR_ROWS, 1)] = True
@@ -218,8 +217,7 @@ class SharedFringes:
 
     def _spread(self, matched: _Matched, sigma: Floats, part: Floats) -> Triangulation:
         """Return the points as an image, with their covariance by the standard deviations of phases."""
-        usable = self.usable
-        rays = self.sensors.rays()[usable]
+        rays = self.sensors.rays()[self.usable]
         moves = np.square(matched.depth_by_omega * sigma)
         variance = moves.sum(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -227,20 +225,21 @@ class SharedFringes:
         covariance = np.stack([rays[:, i] * rays[:, j] * variance for i, j in PACKED])
         gap_sigma = matched.pixel_mm * np.sqrt(np.square(matched.gap_by_omega * sigma).sum(axis=0))
 
-        def image(values: Floats) -> Floats:
-            spread = np.full((*values.shape[:-1], *usable.shape), np.nan)
-            spread[..., usable] = values
-            return spread
-
-        shares = image(told)
+        shares = self._image(told)
         shares[[0, -1]] = shares[:, [0, -1]] = 0.0  # the other side of a blob at the border is not seen
         return Triangulation(
-            image(matched.xyz),
-            image(covariance).astype(np.float32),
-            image(matched.pixel_mm * matched.gap).astype(np.float32),
-            image(gap_sigma).astype(np.float32),
+            self._image(matched.xyz),
+            self._image(covariance).astype(np.float32),
+            self._image(matched.pixel_mm * matched.gap).astype(np.float32),
+            self._image(gap_sigma).astype(np.float32),
             shares.astype(np.float32),
         )
+
+    def _image(self, values: Floats) -> Floats:
+        """Return values (..., n) of the usable pixels as an image (..., rows, columns), NaN elsewhere."""
+        spread = np.full((*values.shape[:-1], *self.usable.shape), np.nan)
+        spread[..., self.usable] = values
+        return spread
 
 
 def _spot(seen: SeenFringes, blur_px: float | None) -> tuple[float, float, Shift]:

@@ -73,7 +73,7 @@ class StereoFringesParameters(TrustParameters):
         None,
         ge=0.0,
         description="standard deviation of the spot that a pixel sees, of both cameras, for the corrections "
-        "of texture and bend; found from the ray gaps if not given, 0 for no correction",
+        "of texture and bend; found from the phases of each if not given, 0 for no correction",
     )
     maximum_shift_px: float = Field(
         LARGEST_SHIFT_PX,
