@@ -63,7 +63,7 @@ def create(
         return
     if campaign.scene is not None:
         following = f"sms job submit simulate --campaign {campaign.name}"
-    elif not campaign.fringe_views:
+    elif not campaign.shows_fringes:
         following = f"sms import images FOLDER --campaign {campaign.name}, or sms acquire run {campaign.name}"
     else:
         following = f"sms acquire run {campaign.name} --dry-run"
@@ -196,7 +196,7 @@ def show(
         return
     sequence = campaign.sequence
     words = f"{sequence.in_words}, {sequence.frames} frames"
-    fringes = {"fringes": words} if campaign.fringe_views else {}
+    fringes = {"fringes": words} if campaign.shows_fringes else {}
     output.print_facts(
         {
             "campaign": campaign.name,

@@ -384,7 +384,7 @@ class CampaignTable(Table):
             if self.session is not None and view.other_cameras:
                 raise InvalidInput(
                     f"the view {view} has no place in a calibration session, where each camera finds "
-                    f"boards separately: name single cameras, as in views = {[*view.sensors]}"
+                    f"boards separately: name single cameras, as in views = {[*view.triangulating]}"
                 )
         if len(set(self.views)) < len(self.views):
             raise InvalidInput(f"views names one view twice: {', '.join(self.views)}")

@@ -59,7 +59,7 @@ def calibration_factor(
     root = square_root(uncertainty.of(uncertainty.sensors))
     if not root.shape[1]:
         return None
-    names = inputs.view.sensors
+    names = inputs.view.triangulating
     rows = [PER_SENSOR * uncertainty.sensors.index(name) + np.arange(PER_SENSOR) for name in names]
     return CalibrationFactor(
         str(inputs.view),

@@ -351,13 +351,18 @@ def fringe_tuples(campaign: Campaign) -> tuple[Subject, ...]:
 
 
 def camera_tuples(campaign: Campaign) -> tuple[Subject, ...]:
-    """Return those of several cameras."""
+    """Return those of several cameras that see a texture."""
     return _tuples(campaign, campaign.camera_views)
 
 
 def tuples_alone(campaign: Campaign) -> tuple[Subject, ...]:
     """Return those of cameras that measure in the plane of their image alone."""
     return _tuples(campaign, campaign.cameras_alone)
+
+
+def stereo_fringe_tuples(campaign: Campaign) -> tuple[Subject, ...]:
+    """Return those of several cameras that see the fringes of one projector."""
+    return _tuples(campaign, campaign.stereo_fringe_views)
 
 
 def deformed_tuples(campaign: Campaign) -> tuple[Subject, ...]:

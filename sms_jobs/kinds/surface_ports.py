@@ -42,6 +42,11 @@ class Maker:
 
 
 MAKERS = (
+    Maker(
+        "stereo-fringes",
+        (SURFACE, PHASE, CALIBRATION_FACTOR),
+        lambda view: bool(view.projectors and view.other_cameras),
+    ),
     Maker("reconstruct", (SURFACE, PHASE, CALIBRATION_FACTOR), lambda view: bool(view.projectors)),
     Maker("stereo", (SURFACE, CALIBRATION_FACTOR), lambda view: bool(view.other_cameras)),
     Maker("plane", (SURFACE,), lambda view: not view.measures_shape, once=True),

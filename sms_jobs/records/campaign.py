@@ -219,18 +219,36 @@ class Campaign:
 
     @property
     def shape_views(self) -> tuple[str, ...]:
-        """The views that measure shape: a camera and a projector, or several cameras."""
+        """The views that measure shape: a camera and a projector, several cameras, or both."""
         return tuple(view for view in self.views if view_of(view).measures_shape)
 
     @property
     def fringe_views(self) -> tuple[str, ...]:
         """The views of a camera and a projector."""
-        return tuple(view for view in self.views if view_of(view).projectors)
+        return self._of_sorts(fringes=True, cameras=False)
 
     @property
     def camera_views(self) -> tuple[str, ...]:
-        """The views of several cameras."""
-        return tuple(view for view in self.views if view_of(view).other_cameras)
+        """The views of several cameras that see a texture."""
+        return self._of_sorts(fringes=False, cameras=True)
+
+    @property
+    def stereo_fringe_views(self) -> tuple[str, ...]:
+        """The views of several cameras that see the fringes of one projector."""
+        return self._of_sorts(fringes=True, cameras=True)
+
+    @property
+    def shows_fringes(self) -> bool:
+        """Whether anything is seen by the light of a projector."""
+        return any(view_of(view).projectors for view in self.views)
+
+    def _of_sorts(self, *, fringes: bool, cameras: bool) -> tuple[str, ...]:
+        each = ((view, view_of(view)) for view in self.views)
+        return tuple(
+            view
+            for view, seen in each
+            if (bool(seen.projectors), bool(seen.other_cameras)) == (fringes, cameras)
+        )
 
     @property
     def cameras_alone(self) -> tuple[str, ...]:

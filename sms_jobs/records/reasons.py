@@ -26,7 +26,7 @@ class Reason(IntFlag):
     NO_TEXTURE = 1 << 7
     """The subset has too little contrast to be matched."""
     NO_MATCH = 1 << 8
-    """The correlation found no counterpart, or one below the accepted score."""
+    """No counterpart was found in the other image, or one below the accepted score."""
     LEFT_IMAGE = 1 << 9
     """The counterpart lies outside the image."""
     NO_SHAPE_AT_END = 1 << 10

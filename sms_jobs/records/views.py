@@ -1,8 +1,9 @@
 """How a measurement is seen: one reference camera and its partners; no other module knows how it is written.
 
 A view is written as the names of its sensors, the reference camera first: C1 for a camera alone, C1P2 for a
-camera that looks at the fringes of a projector, C1C2 for cameras that look at one texture together. A
-sensor's name is a letter for its role and a number.
+camera that looks at the fringes of a projector, C1C2 for cameras that look at one texture together, C1C2P1
+for two cameras that look at the fringes of one projector, which only marks points for them. A sensor's name
+is a letter for its role and a number.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class View:
     camera
         The sensor whose pixels the results are over.
     partners
-        A projector whose fringes it sees, or further cameras; none for a camera alone, which measures in the
-        plane of its image.
+        A projector whose fringes it sees, further cameras, or both; none for a camera alone, which
+        measures in the plane of its image.
     """
 
     camera: str
@@ -74,14 +75,19 @@ class View:
         return bool(self.partners)
 
     @property
+    def triangulating(self) -> tuple[str, ...]:
+        """The sensors whose rays meet, which have to be calibrated: of several cameras those alone."""
+        return (self.camera, *self.other_cameras) if self.other_cameras else self.sensors
+
+    @property
     def recordings(self) -> tuple[View, ...]:
-        """What is recorded for it: itself, of several cameras the image of each, the reference's first."""
-        return (self,) if self.projectors else tuple(View(name) for name in self.sensors)
+        """What is recorded for it: what each camera sees, of the projector's fringes if there is one."""
+        return tuple(View(name, self.projectors) for name in (self.camera, *self.other_cameras))
 
     @property
     def projector(self) -> str:
-        """The projector of a camera and a projector; raises `InvalidInput` for any other view."""
-        if len(self.projectors) != 1:
+        """The projector whose fringes are seen; raises `InvalidInput` where there is none."""
+        if not self.projectors:
             raise InvalidInput(f"the view '{self}' is not a camera with a projector; write it like C1P2")
         return self.projectors[0]
 
@@ -90,11 +96,13 @@ def view_of(text: str | None) -> View:
     """Read a view; raise `InvalidInput` for anything else."""
     found = [] if text is None or not _VIEW.fullmatch(text) else [*_SENSOR.finditer(text)]
     names, roles = [one[0] for one in found], [_ROLES[one[1]] for one in found]
-    cameras = [Role.CAMERA] * min(len(roles), MOST_CAMERAS)
-    if roles not in (cameras or [Role.CAMERA], [Role.CAMERA, Role.PROJECTOR]) or len({*names}) < len(names):
+    cameras = [Role.CAMERA] * max(min(len(roles), MOST_CAMERAS), 1)
+    lit = ([Role.CAMERA, Role.PROJECTOR], [Role.CAMERA, Role.CAMERA, Role.PROJECTOR])
+    if roles not in (cameras, *lit) or len({*names}) < len(names):
         raise InvalidInput(
             f"'{text or ''}' is not a view; write a camera and a projector like C1P2, two to {MOST_CAMERAS} "
-            "cameras like C1C2, a camera alone like C1"
+            "cameras like C1C2, two cameras that see the fringes of a projector like C1C2P1, a camera alone "
+            "like C1"
         )
     return View(names[0], tuple(names[1:]))
 

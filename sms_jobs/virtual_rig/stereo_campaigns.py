@@ -1,7 +1,8 @@
-"""Campaigns of two cameras that look at one speckled specimen together, lit by a lamp."""
+"""Campaigns of two cameras that look at one specimen together, lit by a lamp or by a projector's fringes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, radians, sin
 from typing import TypeAlias
 
@@ -14,6 +15,7 @@ from sms_jobs.records.scene import (
     Gloss,
     MidPointBending,
     PlateWithHoleAndStep,
+    ProjectorResponse,
     Rigid,
     Scene,
     Speckle,
@@ -137,3 +139,57 @@ def stereo_campaign(
     specimen = Specimen("stereo specimen", "polymer", "speckled, lit by a lamp between the cameras")
     volume = Box((-half, -half, -half / 2.0), (half, half, half / 2.0))
     return made(name, volume, specimen, states, FringeSequence(), scene)
+
+
+def shared_fringes_rig(columns: int = 640, rows: int = 512) -> Rig:
+    """Return the cameras of `stereo_rig` with a projector P1 above them, 20 degrees from both."""
+    projector = aimed("P1", 640, 480, Lens(2.2, -0.03, 0.05, -2e-4, 3e-4), (30.0, 180.0, 460.0), -0.02)
+    return Rig("virtual-shared-fringes", (*stereo_rig(columns, rows).sensors, projector))
+
+
+def shared_fringes_campaign(
+    name: str,
+    *,
+    rig: Rig | None = None,
+    surface: Surface | None = None,
+    speckle_px: float = 0.0,
+    sequence: FringeSequence | None = None,
+) -> Made:
+    """Return two cameras and a projector with their exact calibration, and a campaign of C1C2P1 and C1P1.
+
+    Parameters
+    ----------
+    name
+        Of the campaign; S01 is its specimen at rest, S00, moved.
+    rig
+        That of `shared_fringes_rig` if none is given.
+    surface
+        The specimen; `curved` of the field of view if none is given.
+    speckle_px
+        Mean diameter of a speckle in px of C1 at the origin; 0 for a plain surface.
+    sequence
+        What is projected; the default one if none is given.
+    """
+    rig = shared_fringes_rig() if rig is None else rig
+    first = rig.sensor("C1")
+    px_mm = sum(x * x for x in first.pose.centre()) ** 0.5 / first.intrinsics.fx
+    field_mm = px_mm * first.columns
+    scene = Scene(
+        rig,
+        curved(field_mm) if surface is None else surface,
+        Speckle(diameter_mm=speckle_px * px_mm) if speckle_px else None,
+        placed((0.03, -0.02, 0.01), (0.004 * field_mm, -0.006 * field_mm, 0.02 * field_mm)),
+        CameraResponse(),
+        ProjectorResponse(defocus_px=0.7, visibility=0.9),
+    )
+    motion = usual_deformations(field_mm)[0]
+    states = (
+        LoadState("S00", time=START),
+        LoadState("S01", time=START + HOLD, deformation=motion),
+    )
+    half = 0.55 * field_mm
+    volume = Box((-half, -half, -half / 2.0), (half, half, half / 2.0))
+    specimen = Specimen("specimen", "polymer", "lit by a projector that nobody needs to calibrate")
+    shown = FringeSequence() if sequence is None else sequence
+    calibration, campaign = made(name, volume, specimen, states, shown, scene)
+    return calibration, replace(campaign, views=("C1C2P1", "C1P1"))

@@ -16,17 +16,33 @@ from sms_jobs.records.views import Role, View, is_view, place_of, role_of, senso
         View("C999", ("P999",)),
         View("C2", ("C1",)),
         View("C1", ("C2", "C3")),
+        View("C1", ("C2", "P1")),
     ],
 )
 def test_a_view_is_read_as_it_was_written(view: View) -> None:
     assert view_of(str(view)) == view
-    assert view.sensors == (view.camera, *view.projectors, *view.other_cameras)
+    assert view.sensors == (view.camera, *view.other_cameras, *view.projectors)
     assert view.measures_shape is bool(view.projectors or view.other_cameras)
 
 
 def test_fringes_are_recorded_as_they_are_seen_and_several_cameras_by_themselves() -> None:
-    recorded = {text: [*map(str, view_of(text).recordings)] for text in ("C1", "C1P2", "C2C1C3")}
-    assert recorded == {"C1": ["C1"], "C1P2": ["C1P2"], "C2C1C3": ["C2", "C1", "C3"]}
+    recorded = {text: [*map(str, view_of(text).recordings)] for text in ("C1", "C1P2", "C2C1C3", "C2C1P3")}
+    assert recorded == {
+        "C1": ["C1"],
+        "C1P2": ["C1P2"],
+        "C2C1C3": ["C2", "C1", "C3"],
+        "C2C1P3": ["C2P3", "C1P3"],
+    }
+
+
+def test_a_projector_beside_several_cameras_needs_no_calibration() -> None:
+    needed = {text: view_of(text).triangulating for text in ("C1", "C1P2", "C2C1C3", "C2C1P3")}
+    assert needed == {
+        "C1": ("C1",),
+        "C1P2": ("C1", "P2"),
+        "C2C1C3": ("C2", "C1", "C3"),
+        "C2C1P3": ("C2", "C1"),
+    }
 
 
 @pytest.mark.parametrize(
@@ -41,7 +57,9 @@ def test_fringes_are_recorded_as_they_are_seen_and_several_cameras_by_themselves
         "C1P1P2",
         "P1C1",
         "C1C1",
-        "C1C2P1",
+        "C1C2P1P2",
+        "C1P1C2",
+        "C1C2C3P1",
         "C1C2C3C4C5",
         "C1P1 ",
         "c1",

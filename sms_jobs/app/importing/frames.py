@@ -228,11 +228,11 @@ class _Import:
                 views=arrangement.views or ("C1P1",),
                 sequence=layout.sequence,
             )
-        unknown = [p for p in arrangement.views if p not in campaign.views]
+        unknown = [p for p in arrangement.views if p not in campaign.recordings]
         if unknown:
             raise InvalidInput(
-                f"campaign {campaign.name} has no view {', '.join(unknown)}; it has "
-                f"{', '.join(campaign.views)}"
+                f"campaign {campaign.name} has no view {', '.join(unknown)} of which frames are recorded; it "
+                f"has {', '.join(campaign.recordings)}"
             )
         if layout.sequence != campaign.sequence:
             raise InvalidInput(

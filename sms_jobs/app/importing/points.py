@@ -71,11 +71,18 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
     Raises
     ------
     InvalidInput
-        The table cannot be read, or the sizes are not those of the view.
+        The table cannot be read, the sizes are not those of the view, or that is one of several cameras and
+        a projector.
     Conflict
         There is a campaign of that name.
     """
     now = datetime.now(UTC)
+    seen = view_of(task.view)
+    if seen.projectors and seen.other_cameras:
+        raise InvalidInput(
+            f"the view {seen} calibrates no projector: import the points of "
+            f"{''.join(seen.triangulating)}, or of a camera and a projector like C1P2"
+        )
     table = read_points(task.file, task.view, task.sigma_px)
     board = replace(table.board, pitch_relative_sigma=task.pitch_relative_sigma, flatness_mm=task.flatness_mm)
     at = task.recorded_at or now
@@ -84,7 +91,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         specimen=Specimen(BOARD),
         rig=task.rig,
         states=tuple(LoadState(label, time=at, artefact=BOARD) for label in table.observations),
-        views=tuple(str(one) for one in view_of(task.view).recordings),
+        views=tuple(str(one) for one in seen.recordings),
         session=CalibrationSession({BOARD: board}, _sensors(task.view, task.sizes)),
     )
     if existing_campaign(services, task.session) is not None:

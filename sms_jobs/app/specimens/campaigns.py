@@ -137,6 +137,7 @@ def _require_sensors(
 
     seen = view_of(view)
     known: dict[str, tuple[str, ...]] = {}
+    calibrated = ""
     if campaign.scene is not None:
         known["the scene of the virtual rig"] = tuple(s.name for s in campaign.scene.rig.sensors)
     # Of a camera alone nobody else can tell.
@@ -148,9 +149,11 @@ def _require_sensors(
                 f"{view} measures shape by a calibration, and none of rig {campaign.rig} is in use: certify "
                 "or import one first; see 'sms calibration list'"
             )
-        known[f"calibration {used.number}, which is in use for rig {campaign.rig},"] = tuple(used.sensors)
+        calibrated = f"calibration {used.number}, which is in use for rig {campaign.rig},"
+        known[calibrated] = tuple(used.sensors)
     for what, sensors in known.items():
-        lacking = [sensor for sensor in seen.sensors if sensor not in sensors]
+        wanted = seen.triangulating if what == calibrated else seen.sensors
+        lacking = [sensor for sensor in wanted if sensor not in sensors]
         if lacking:
             raise InvalidInput(
                 f"{what} has no {' and no '.join(lacking)}, and so no view {view}; it has "

@@ -13,7 +13,7 @@ from sms_jobs.formats.importers.folders import LeftOut, Listing, natural, printa
 from sms_jobs.formats.importers.image_files import RAW_SUFFIXES, SUFFIXES
 from sms_jobs.formats.importers.layout import FrameLayout, Role
 from sms_jobs.records.subject import checked_name
-from sms_jobs.records.views import is_view, view_of
+from sms_jobs.records.views import View, is_view, view_of
 
 _FAULTS_SHOWN = 4
 
@@ -159,7 +159,7 @@ def _sorter(
     def sort(key: _Key, files: list[tuple[str, dict[str, str]]], faults: list[str]) -> FoundTuple:
         wrong = list(dict.fromkeys(faults))
         try:
-            view_of(key[1]).projector  # noqa: B018 - it says what is wrong
+            _require_frames(view_of(key[1]))
         except InvalidInput as error:
             wrong.append(str(error))
         named: dict[Role, list[str]] = {}
@@ -183,6 +183,13 @@ def _sorter(
         return _complete(layout, key, {role: names[0] for role, names in named.items()})
 
     return sort
+
+
+def _require_frames(view: View) -> None:
+    """Raise `InvalidInput` for a view that frames of fringes are not recorded of."""
+    if view.projector and view.other_cameras:
+        recorded = " and ".join(map(str, view.recordings))
+        raise InvalidInput(f"the view {view} is recorded as {recorded}: name the frames of each camera so")
 
 
 def abridged(faults: Sequence[str]) -> tuple[str, ...]:

@@ -34,8 +34,9 @@ def campaign_facts(campaign: Campaign) -> Markup:
             ("rig", campaign.rig + (" (virtual)" if campaign.scene is not None else "")),
             ("views of camera and projector", ", ".join(campaign.fringe_views)),
             ("views of several cameras", ", ".join(campaign.camera_views)),
+            ("views of several cameras by fringes", ", ".join(campaign.stereo_fringe_views)),
             ("cameras alone", ", ".join(campaign.cameras_alone)),
-            *(fringes if campaign.fringe_views else ()),
+            *(fringes if campaign.shows_fringes else ()),
             ("states", str(len(campaign.states))),
         ]
     )

@@ -269,12 +269,17 @@ def check(
     Raises
     ------
     InvalidInput
-        `subject` is no tuple.
+        `subject` is no tuple of a camera and a projector.
     NotFound
         The tuple has no shape yet, or no calibration is valid for it.
     """
     if subject.view is None or subject.state is None:
         raise InvalidInput(f"'{subject}' is no tuple; write campaign/state/view, such as wing/S01/C1P2")
+    if view_of(subject.view).other_cameras:
+        raise InvalidInput(
+            f"{subject} is measured by several cameras, whose jobs tell their own ray gaps "
+            "('sms data find --columns subject,ray_gap_rms_mm'): check a camera and a projector, as C1P2"
+        )
     with catalogue.reading() as session:
         row = campaigns.campaign_row(session, subject.campaign)
         orientations = campaigns.definition(row).sequence

@@ -110,10 +110,14 @@ def _refuse_other_than_campaign(session: Session, sensors: Sensors, name: str, w
 
 
 def _sensors_of(campaign: Campaign) -> Sensors:
-    """Return what a campaign says of its sensors: of a virtual rig all, of others what their names tell."""
+    """Return what a campaign says of the sensors that have to be calibrated.
+
+    Of a virtual rig all that is known of them, of others what their names tell.
+    """
+    names = dict.fromkeys(name for view in campaign.views for name in view_of(view).triangulating)
     if campaign.scene is not None:
-        return valid_calibrations.sensors_of(campaign.scene.rig)
-    names = dict.fromkeys(name for view in campaign.views for name in view_of(view).sensors)
+        sensors = valid_calibrations.sensors_of(campaign.scene.rig)
+        return {name: sensors[name] for name in names}
     sensors = {n: {"role": role_of(n).value} for n in names}
     sizes = () if campaign.session is None else campaign.session.sensors
     return sensors | {

@@ -327,7 +327,7 @@ def _cannot(kind: Kind[Any], campaign: Campaign, others: Iterable[str]) -> str:
     return (
         f"{kind.name} has nothing to do in campaign {campaign.name}, which has {count} "
         f"{'state' if count == 1 else 'states'} measured by {', '.join(campaign.views)}"
-        f"{'' if campaign.fringe_views else ' without a projector'}; "
+        f"{'' if campaign.shows_fringes else ' without a projector'}; "
         f"its pipeline is {', '.join(others) or 'empty'}"
     )
 

@@ -40,7 +40,12 @@ from sms_jobs.kinds.products import CALIBRATED, MEASURED, QUICK_LOOK, RECORDED, 
 from sms_jobs.kinds.shape.plane import KIND as PLANE
 from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.kinds.shape.sparse_plane import plane_with_regions, scale_of, sparse_plane
-from sms_jobs.kinds.shape.sparse_surface import sparse_stereo_surface, sparse_surface, with_regions
+from sms_jobs.kinds.shape.sparse_surface import (
+    sparse_stereo_fringes_surface,
+    sparse_stereo_surface,
+    sparse_surface,
+    with_regions,
+)
 from sms_jobs.kinds.shape.stereo import KIND as STEREO
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.textures import white_texture
@@ -225,6 +230,8 @@ def _first_part(progress: Progress) -> Progress:
 
 def _surface(inputs: Inputs, measurement: Measurement, step: int, progress: Progress) -> Surface:
     """Return the shape at every `step`-th pixel."""
+    if inputs.view.projectors and inputs.view.other_cameras:
+        return sparse_stereo_fringes_surface(inputs, step, progress)
     if inputs.view.projectors:
         return sparse_surface(inputs, _CALIBRATION, measurement, step, progress)
     if not inputs.view.measures_shape:

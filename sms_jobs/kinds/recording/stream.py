@@ -120,7 +120,7 @@ def task(campaign: Campaign, subject: Subject) -> Task:
 
 def campaigns_of_cameras(campaign: Campaign) -> tuple[Subject, ...]:
     """Return the campaign, if it tests a specimen by cameras alone: whose images are whole states."""
-    return (Subject(campaign.name),) if campaign.session is None and not campaign.fringe_views else ()
+    return (Subject(campaign.name),) if campaign.session is None and not campaign.shows_fringes else ()
 
 
 def needs(campaign: Campaign, subject: Subject, parameters: StreamParameters) -> Iterable[Need]:

@@ -143,7 +143,7 @@ def _of_stand(inputs: Inputs, view: str, surface: Surface, known: Any) -> Iterat
     towards = camera.pose.centre() - middle
     yield "stand-off distance", f"{number(float(np.linalg.norm(towards)))} mm, from pin-hole to surface"
     angles = []
-    for name in view_of(view).partners:
+    for name in view_of(view).triangulating[1:]:
         partner = _sensor(inputs, name)
         if partner is not None:
             other = partner.pose.centre() - middle

@@ -27,30 +27,9 @@ Method = Literal["temporal-unwrapping", "fdr"]
 UNWRAPPING: Method = "temporal-unwrapping"
 
 
-class PhaseParameters(Parameters):
-    """How phases are found, and which of them are trusted."""
+class TrustParameters(Parameters):
+    """Which phases are trusted, and how far rays may miss each other."""
 
-    method: Method = Field(
-        "temporal-unwrapping",
-        description="how the phase gradient is found: temporal unwrapping of any unambiguous densities, or "
-        "Fourier domain ranging ('fdr') of several returns over the densities 0, 1, 2 ..",
-    )
-    returns: int = Field(1, ge=1, le=4, description="most returns that are looked for in a pixel")
-    window: Window = Field("none", description="weights over the densities against leakage of strong returns")
-    significance: float = Field(
-        1e-4, gt=0.0, lt=1.0, description="probability at which noise alone is taken for one more return"
-    )
-    pair_rule: Literal["likelihood", "least-gap"] = Field(
-        "likelihood",
-        description="how returns of the orientations are paired: by gap, amplitudes and volume, close ones "
-        "told apart by the amplitudes of another orientation; or by the least ray gap, as in the thesis",
-    )
-    minimum_pair_margin: float = Field(
-        3.0,
-        ge=0.0,
-        description="log-likelihood by which the chosen pair must excel any pair of another place; 3 are "
-        "odds of 20",
-    )
     minimum_modulation_to_noise: float = Field(
         5.0, ge=0.0, description="least fringe modulation in standard deviations of the camera's noise"
     )
@@ -79,12 +58,39 @@ class PhaseParameters(Parameters):
         None,
         ge=0.0,
         description="standard deviation of the gap between the rays from the calibration, in pixels of the "
-        "projector; what the calibration says of itself if not given, 0.05 where it says nothing",
+        "projector, or of the other camera; what the calibration says of itself if not given, 0.05 where it "
+        "says nothing",
     )
     response: Literal["none", "measured"] = Field(
         "none",
         description="whether the ripple of a projector that is not linear is taken out: 'measured' finds it "
         "in the frames themselves and costs a second or two; 'none' leaves it, and states it as uncertainty",
+    )
+
+
+class PhaseParameters(TrustParameters):
+    """How phases are found, and which of them are trusted."""
+
+    method: Method = Field(
+        "temporal-unwrapping",
+        description="how the phase gradient is found: temporal unwrapping of any unambiguous densities, or "
+        "Fourier domain ranging ('fdr') of several returns over the densities 0, 1, 2 ..",
+    )
+    returns: int = Field(1, ge=1, le=4, description="most returns that are looked for in a pixel")
+    window: Window = Field("none", description="weights over the densities against leakage of strong returns")
+    significance: float = Field(
+        1e-4, gt=0.0, lt=1.0, description="probability at which noise alone is taken for one more return"
+    )
+    pair_rule: Literal["likelihood", "least-gap"] = Field(
+        "likelihood",
+        description="how returns of the orientations are paired: by gap, amplitudes and volume, close ones "
+        "told apart by the amplitudes of another orientation; or by the least ray gap, as in the thesis",
+    )
+    minimum_pair_margin: float = Field(
+        3.0,
+        ge=0.0,
+        description="log-likelihood by which the chosen pair must excel any pair of another place; 3 are "
+        "odds of 20",
     )
 
     @field_validator("returns")
@@ -164,7 +170,7 @@ def noise_reasons(
     ripple: Floats | float,
     noise: Singles,
     steps: int,
-    parameters: PhaseParameters,
+    parameters: TrustParameters,
 ) -> Reasons:
     """Return where the modulation is too low or the phase error above `factor` times that of noise.
 

@@ -1,17 +1,19 @@
-"""The surface of a camera and a projector, or of several cameras, at some pixels of the image only."""
+"""The surface of a camera and a projector, of several cameras, or of both, at some pixels only."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from sms_jobs.kinds.kind import DatasetOutput, Inputs, Port, Progress
+from sms_jobs.kinds.kind import DatasetOutput, Inputs, Output, Port, Progress
 from sms_jobs.kinds.products import CALIBRATED, SURFACE
-from sms_jobs.kinds.shape import stereo
+from sms_jobs.kinds.shape import stereo, stereo_fringes
 from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
+from sms_jobs.kinds.shape.stereo_fringes import StereoFringesParameters
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.trusted_points import (
     LARGEST_SHIFT_PX,
@@ -105,9 +107,25 @@ def sparse_stereo_surface(
     """
     spacing = min(_MATCHES_APART * parameters.spacing_px, parameters.subset_radius_px)
     coarser = parameters.model_copy(update={"spacing_px": max(spacing, parameters.spacing_px)})
-    (measured,) = stereo.run(inputs, coarser, progress)
-    assert isinstance(measured, DatasetOutput)
-    surface: Surface = measured.products[SURFACE]
+    return _thinned(stereo.run(inputs, coarser, progress), step)
+
+
+def sparse_stereo_fringes_surface(inputs: Inputs, step: int, progress: Progress) -> Surface:
+    """Return the points of every `step`-th pixel of the reference camera, as `stereo-fringes` measures them.
+
+    Raises
+    ------
+    InvalidInput, MeasurementFailed
+        As `stereo-fringes` does.
+    """
+    return _thinned(stereo_fringes.run(inputs, StereoFringesParameters(), progress), step)
+
+
+def _thinned(measured: Iterable[Output], step: int) -> Surface:
+    """Return every `step`-th pixel of the surface that a kind measures."""
+    (output,) = measured
+    assert isinstance(output, DatasetOutput)
+    surface: Surface = output.products[SURFACE]
     chosen = slice(first_px(step), None, step)
     return Surface(
         surface.view,

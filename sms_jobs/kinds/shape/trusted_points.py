@@ -9,7 +9,7 @@ import numpy as np
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
-from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, mark
+from sms_jobs.kinds.shape.phase_task import Geometry, TrustParameters, mark
 from sms_jobs.metrology.arrays import Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
@@ -64,23 +64,23 @@ def paired_sensors(
     return camera, projector
 
 
-def gap_sigma_px(inputs: Inputs, port: Port, parameters: PhaseParameters, calibration: Calibration) -> float:
-    """Return by how much the rays may miss each other because of the calibration, in projector pixels."""
+def gap_sigma_px(inputs: Inputs, port: Port, parameters: TrustParameters, calibration: Calibration) -> float:
+    """Return by how much the rays may miss each other because of the calibration, in partner's pixels."""
     if parameters.calibration_sigma_px is not None:
         return parameters.calibration_sigma_px
     if not inputs.has(port, UNCERTAINTY):
         return _UNSTATED_PX
-    names = (inputs.view.camera, inputs.view.projector)
-    camera, projector = ((s.intrinsics, s.pose) for s in map(calibration.rig.sensor, names))
+    names = inputs.view.triangulating
+    camera, partner = ((s.intrinsics, s.pose) for s in map(calibration.rig.sensor, names))
     places = box_grid(np.array(calibration.volume.low), np.array(calibration.volume.high), per_side=3)
     covariance = inputs.read(port, UNCERTAINTY).of(names)
-    return expected_gap_px(camera, projector, covariance, places)
+    return expected_gap_px(camera, partner, covariance, places)
 
 
 def mark_points(
     points: Triangulation,
     geometry: Geometry,
-    parameters: PhaseParameters,
+    parameters: TrustParameters,
     reason: Reasons,
     corrected: Corrected,
 ) -> None:

@@ -28,16 +28,16 @@ from sms_jobs.metrology.images.masks import at_edge
 
 Floating = NDArray[np.floating]
 
-_LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correlation
-_PRECISION = 1.0 / 0.25**2  # of UNKNOWN.variance, in 1/px^4
-_TRIM, _TAILS = 4.0, 10.0  # robust standard deviations: of what tells s^2, and of what it leaves
+LARGEST_BLUR = 2.0  # px^2; a camera so far out of focus is not used for correlation
+PRECISION = 1.0 / 0.25**2  # of UNKNOWN.variance, in 1/px^4
+TRIM, TAILS = 4.0, 10.0  # robust standard deviations: of what tells s^2, and of what it leaves
 _STRAIGHT = 1e-6  # part of its largest value below which the roughness does not vary
-_ROUNDS = 6
+ROUNDS = 6
 _FILLED_FROM = (5, 5)  # px about a pixel that is not lit
 _RINGING_PX = (9, 9)  # about one: what a cubic spline makes of a bend falls to 0.27 a pixel, 0.005 in four
-_BLUR_ROWS = 128  # rows that are enough to estimate the blur from
-_TEXTURE_ROUNDS = 6  # each takes the slope of omega from phases that the texture disturbs less than before
-_SETTLED = 0.01  # part of s^2 by which it may still change: 0.005 px where light is off by half a pixel
+BLUR_ROWS = 128  # rows that are enough to estimate the blur from
+TEXTURE_ROUNDS = 6  # each takes the slope of omega from phases that the texture disturbs less than before
+SETTLED = 0.01  # part of s^2 by which it may still change: 0.005 px where light is off by half a pixel
 _OUTERMOST = 5.0  # in focus s^2 is some five times rough_px, and across the border nothing is corrected
 _SMALLEST_GAP = 4  # px; fewer that fail are no edge but noise
 _TEXTURED = 0.02  # 1/px: several times the noise of ln B, a fiftieth of a speckle's edge
@@ -239,7 +239,7 @@ def textured_interior(valid: Mask, gradient: Floats, margin: int = 4) -> Mask:
     return np.asarray(inside & (np.hypot(gradient[0], gradient[1]) > _TEXTURED))
 
 
-def _rough_square(excess: Floats, rough: Floats, weight: Floats) -> float:
+def roughness_told(excess: Floats, rough: Floats, weight: Floats) -> float:
     """Return how much the squared gap exceeds its noise by, for each unit of the squared `rough`.
 
     The slope of a straight line by weighted least squares, whose height at 0 is not the texture's but the
@@ -280,20 +280,20 @@ def estimate_blur(gap: Floating, gap_sigma: Floating, change: Floating, rough: F
     g, h = gap[used].astype(float), change[used].astype(float)
     noise, r = np.square(gap_sigma[used].astype(float)), np.square(rough[used].astype(float))
     variance, rough_square, information = UNKNOWN.variance, UNKNOWN.rough_px**2, 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         w = 1.0 / (noise + rough_square * r)
         rest = (g + variance * h) * np.sqrt(w)
         scale = max(1.0, float(np.median(np.abs(rest))) / 0.6745) if rest.size else 1.0
-        kept = np.abs(rest) < _TRIM * scale
+        kept = np.abs(rest) < TRIM * scale
         information = float(np.sum((w * h * h)[kept])) / scale**2
         pull = -float(np.sum((w * g * h)[kept])) / scale**2
-        found = (pull + UNKNOWN.variance * _PRECISION) / (information + _PRECISION)
-        variance = float(np.clip(found, 0.0, _LARGEST_BLUR))
-        share = information / (information + _PRECISION)
-        near = np.abs(rest) < _TAILS * scale
-        part = _rough_square(np.square(g + variance * h)[near] - noise[near], r[near], w[near])
+        found = (pull + UNKNOWN.variance * PRECISION) / (information + PRECISION)
+        variance = float(np.clip(found, 0.0, LARGEST_BLUR))
+        share = information / (information + PRECISION)
+        near = np.abs(rest) < TAILS * scale
+        part = roughness_told(np.square(g + variance * h)[near] - noise[near], r[near], w[near])
         rough_square = share * part + (1.0 - share) * UNKNOWN.rough_px**2
-    return Blur(variance, float((information + _PRECISION) ** -0.5), float(np.sqrt(rough_square)))
+    return Blur(variance, float((information + PRECISION) ** -0.5), float(np.sqrt(rough_square)))
 
 
 @dataclass(frozen=True)
@@ -371,11 +371,11 @@ def correct_texture(
     else:
         find_blur = _told_by_gaps(omega, omega_sigma, textured_interior(usable, gradient), meet)
     corrected, variance = omega, np.nan
-    for _ in range(_TEXTURE_ROUNDS):
+    for _ in range(TEXTURE_ROUNDS):
         shift, spread = texture_shift(corrected, usable, gradient, rough, threads)
         blur = find_blur(shift, spread)
         corrected = omega - blur.variance * shift
-        if abs(blur.variance - variance) <= _SETTLED * blur.variance:
+        if abs(blur.variance - variance) <= SETTLED * blur.variance:
             break
         variance = blur.variance
     beside, doubtful = (
@@ -399,7 +399,7 @@ def _certain(blur: Blur) -> FindBlur:
 
 def _told_by_gaps(omega: Floats, omega_sigma: Singles, telling: Mask, meet: Meet) -> FindBlur:
     """Return what finds the blur by the ray gaps of some rows, which are as they are before all rounds."""
-    every = max(len(telling) // _BLUR_ROWS, 1)
+    every = max(len(telling) // BLUR_ROWS, 1)
     part, seen = omega[:, ::every].copy(), telling[::every]
     before = meet(part, omega_sigma[:, ::every].copy(), every)
 

@@ -16,6 +16,7 @@ from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
+from sms_jobs.app.specimens.campaigns import create
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.tables.every import METADATA
 from sms_jobs.cli.importing.group import app
@@ -124,6 +125,45 @@ def test_what_contradicts_the_campaign_is_refused(run: Import, tmp_path: Path) -
     assert outcomes(told) == [("S00", "refused"), ("S01", "already there")]
     assert "set `newer`" in told["tuples"][0]["detail"]
     assert outcomes(run(*frames(folder, "--newer")))[0] == ("S00", "imported")
+
+
+PLAN = """
+name = "plate"
+rig = "desk"
+views = ["C1C2P1"]
+[specimen]
+name = "plate"
+[[states]]
+label = "S00"
+[sequence]
+densities = [16, 1]
+steps = 3
+"""
+
+
+def test_frames_of_two_cameras_come_into_a_view_that_has_both(run: Import, tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(PLAN, encoding="utf-8")
+    with bootstrap.services(tmp_path / "home") as services:
+        create(services, tmp_path / "plan.toml")
+    both = ("--orientations", "0 90")
+    for number, camera in enumerate(("C1", "C2")):
+        shown = fringes(orientations_deg=(0.0, 90.0), seed=number, noise=1.0)
+        save(tmp_path / "scans" / "S00" / f"{camera}P1", shown)
+    # Frames of one camera are of that camera: those of both cannot be told apart.
+    named = ("--view", "C1C2P1", "--state", "S00", "--pattern", "frame_{number}.png", *both)
+    alone = tmp_path / "scans" / "S00" / "C1P1"
+    with pytest.raises(InvalidInput, match="no view C1C2P1 of which frames are recorded; it has C1P1, C2P1"):
+        run(*frames(alone, *named))
+    told = run(*frames(tmp_path / "scans", *both))
+    assert [(t["view"], t["outcome"]) for t in told["tuples"]] == [("C1P1", "imported"), ("C2P1", "imported")]
+    assert campaign_of(tmp_path / "home").views == ("C1C2P1",)
+
+
+def test_a_new_campaign_has_no_frames_of_several_cameras_in_one(run: Import, tmp_path: Path) -> None:
+    save(tmp_path / "scans", fringes())
+    named = ("--view", "C1C2P1", "--state", "S00", "--pattern", "frame_{number}.png")
+    refused = run(*frames(tmp_path / "scans", *named), code=6)
+    assert "the view C1C2P1 is recorded as C1P1 and C2P1" in refused["tuples"][0]["detail"]
 
 
 def test_a_guess_that_nobody_confirms_changes_nothing(run: Import, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from sms_jobs.kinds.kind import default_subjects
 from sms_jobs.kinds.surface_ports import MAKERS, maker_of
 from sms_jobs.virtual_rig.campaigns import small_plate
 
-VIEWS = ("C1P1", "C1C2", "C1C2C3", "C4")
+VIEWS = ("C1P1", "C1C2", "C1C2C3", "C1C2P1", "C4")
 
 
 def test_the_surface_of_a_view_is_made_by_the_kind_that_is_asked_for_it() -> None:
