@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sms_jobs.bench.fringes.returns import FULL_SCALE, MODULATION, STEPS, patterns
 from sms_jobs.kinds.shape.phase_task import Geometry, Known, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.shape.phases import sensor_pair
-from sms_jobs.kinds.shape.ranged_phases import range_slab
+from sms_jobs.kinds.shape.ranged_phases import amplitude_spread, range_slab, shares_amplitudes
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.images.masks import large_ray_gap, outside_box
@@ -167,7 +167,9 @@ class Plate:
         rows, columns = self.xyz.shape[:2]
         task = PhaseTask(SUBJECT, measurement, parameters, 1, self.geometry)
         many = len(orientations)
-        known = Known([np.ones(FRINGES)] * many, [None] * many, [], corrected=False)
+        transfers = [np.ones(FRINGES)] * many
+        spread = amplitude_spread(task, transfers, None) if shares_amplitudes(parameters) else 0.0
+        known = Known(transfers, [None] * many, [], corrected=False, amplitude_spread=spread)
         phase = PhaseMaps.unset(orientations, rows, columns, bracketed=False)
         returns = ReturnMaps.unset(orientations, parameters.returns, rows, columns)
         reason = np.zeros((rows, columns), np.uint32)

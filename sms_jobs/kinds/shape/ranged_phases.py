@@ -32,6 +32,8 @@ from sms_jobs.records.reasons import Reason
 _SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
 _WELL_APART = 1.5  # bins: a second return raises the bound of omega by 2 %
 _TOLD_APART = 0.7  # bins: by 40 %
+_WIDTH_SIGMA = 1.5  # of a sharp return's width, times s, over the root of noise by amplitude: see `Returns`
+_SHARP = 1.4  # such deviations of a width: two of its square
 _LEAST_TELLING = 30  # pixels whose median tells how far amplitudes of two orientations agree
 _MEDIAN_OF_SQUARES = 0.4549  # of a normal number of standard deviation 1
 _LEAST_SPREAD = 0.01  # what a median of so few can miss
@@ -142,11 +144,12 @@ def _told_apart(
     if not shares_amplitudes(task.parameters):
         return found, ambiguous
     apart = [_apart_bins(one, sequence) for one in found]
+    telling = [np.where(_are_sharp(task, one), bins, 0.0) for one, bins in zip(found, apart, strict=True)]
     better = list(found)
     for k, one in enumerate(found):
-        widest = np.argmax(apart, axis=0)
+        widest = np.argmax(telling, axis=0)
         close = (one.count > 0) & (apart[k] < _WELL_APART)
-        close &= np.max(apart, axis=0) >= np.maximum(_TOLD_APART, 2.0 * apart[k])
+        close &= np.max(telling, axis=0) >= np.maximum(_TOLD_APART, 2.0 * apart[k])
         for j in sorted({*widest[close].tolist()}):
             where = close & (widest == j)
             signal = close_signal(
@@ -171,6 +174,16 @@ def _apart_bins(one: Returns, sequence: FringeSequence) -> Floats:
     with np.errstate(invalid="ignore"):
         apart = np.abs(one.omega[0] - one.omega[1]) * len(sequence.densities) / (2.0 * np.pi)
     return np.where(one.count == 2, apart, 0.0)
+
+
+def _are_sharp(task: PhaseTask, one: Returns) -> Mask:
+    """Return where no return is wider than a point: what is spread is not as bright in every orientation."""
+    sequence = task.measurement.sequence
+    noise = task.measurement.noise(one.mean_intensity)
+    with np.errstate(invalid="ignore"):
+        sigma = _WIDTH_SIGMA * np.sqrt(np.sqrt(4.0 / sequence.steps) * noise / one.amplitude)
+        wide = one.width * len(sequence.densities) > _SHARP * sigma
+    return np.asarray(~wide.any(axis=0))
 
 
 def _relative_sigma(omega_sigma: Singles, sequence: FringeSequence) -> Floats:
