@@ -151,7 +151,7 @@ def test_a_plan_asks_for_looks_and_limits(web: httpx2.Client) -> None:
         ({"campaign": "gauged", "stop_if": ["g1.extension_mm > 5"]}, 422, "has no unit"),
         ({"campaign": "gauged", "stop_if": ["g1 > 5mm"]}, 422, "stop_if is 'g1 > 5mm', which is no limit"),
         ({"campaign": "gauged", "stop_if": ["g2.x_mm < 0mm"]}, 404, "gauged has no gauge 'g2'"),
-        ({"campaign": "alone", "look": True}, 422, "a camera alone has no quick look"),
+        ({"campaign": "alone", "look": True}, 422, "nobody said how large a pixel is"),
     ],
 )
 def test_a_look_that_cannot_be_is_refused(

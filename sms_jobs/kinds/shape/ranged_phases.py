@@ -20,7 +20,7 @@ from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_retur
 from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
 from sms_jobs.metrology.phase.merged_returns import merged_sigma
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
-from sms_jobs.metrology.phase.ranging.harmonics import ghost_error
+from sms_jobs.metrology.phase.ranging.harmonics import ghost_error, ghost_level
 from sms_jobs.metrology.phase.ranging.misfit import misfit_factor
 from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS
 from sms_jobs.metrology.phase.ranging.shared_amplitudes import ToldApart, close_signal, tell_apart
@@ -30,11 +30,12 @@ from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
 
 _SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
+_COMPARED = (32, 512)  # rows, and pixels of each, that tell how far amplitudes of two orientations agree
 _WELL_APART = 1.5  # bins: a second return raises the bound of omega by 2 %
 _TOLD_APART = 0.7  # bins: by 40 %
 _WIDTH_SIGMA = 1.5  # of a sharp return's width, times s, over the root of noise by amplitude: see `Returns`
 _SHARP = 1.4  # such deviations of a width: two of its square
-_LEAST_TELLING = 30  # pixels whose median tells how far amplitudes of two orientations agree
+_LEAST_TELLING = 30  # pixels whose median tells that
 _MEDIAN_OF_SQUARES = 0.4549  # of a normal number of standard deviation 1
 _LEAST_SPREAD = 0.01  # what a median of so few can miss
 _UNKNOWN_SPREAD = 0.15  # the orientations' fringes are blurred differently by lenses and projector
@@ -92,7 +93,7 @@ def _found(task: PhaseTask, known: Known, frames: NDArray[Any]) -> tuple[list[Re
     """Return the returns of every orientation, and where it is open which of two places they come from."""
     every = _ranged(task, known.transfers, known.responses if known.corrected else None, frames)
     every, ambiguous = _told_apart(task, known, frames, every)
-    every = _with_misfit(task, every)
+    every = _with_misfit(task, known, every)
     if known.corrected:
         return every, ambiguous
     sequence = task.measurement.sequence
@@ -212,7 +213,7 @@ def amplitude_spread(
 
     As a standard deviation, in a sample of the rows: where two orientations tell two returns well apart.
     """
-    frames, _ = in_best_exposure(task.measurement, sampled(task.measurement.frames, *_SAMPLED))
+    frames, _ = in_best_exposure(task.measurement, sampled(task.measurement.frames, *_COMPARED))
     found = _ranged(task, transfers, responses, frames)
     sequence = task.measurement.sequence
     well = [_apart_bins(one, sequence) >= _WELL_APART for one in found]
@@ -230,16 +231,30 @@ def amplitude_spread(
     return max(float(np.sqrt(max(*squares, 0.0))), _LEAST_SPREAD)
 
 
-def _with_misfit(task: PhaseTask, every: list[Returns]) -> list[Returns]:
+def _with_misfit(task: PhaseTask, known: Known, every: list[Returns]) -> list[Returns]:
     """Return the returns of all orientations with what is left beyond noise in their standard deviations.
 
     Light that is not sharp in one orientation is not in another, where two close returns may hide that: the
-    largest factor holds for all.
+    largest factor holds for all. What the harmonics leave is stated by itself.
     """
     limit = _noise_limit(task)
-    factors = [misfit_factor(f.residual, task.measurement.noise(f.mean_intensity), limit) for f in every]
+    factors = [
+        misfit_factor(one.residual, _noise_with_ghosts(task, known, one, response), limit)
+        for one, response in zip(every, known.responses, strict=True)
+    ]
     largest = np.fmax.reduce(factors)
     return [replace(f, omega_sigma=np.asarray(f.omega_sigma * largest, np.float32)) for f in every]
+
+
+def _noise_with_ghosts(task: PhaseTask, known: Known, one: Returns, response: Response | None) -> Singles:
+    """Return the noise of a frame, with the harmonics that stay in the signal, in grey levels."""
+    measurement, sequence = task.measurement, task.measurement.sequence
+    noise = measurement.noise(one.mean_intensity)
+    if known.corrected or response is None:
+        return noise
+    return np.hypot(
+        noise, ghost_level(one.amplitude, response, sequence.densities, sequence.steps), dtype=np.float32
+    )
 
 
 def _noise_limit(task: PhaseTask) -> float:

@@ -33,7 +33,9 @@ from sms_jobs.records.views import sensor_name
 
 LENGTHS = {"row": 5, "column": 7, "frame": 6, "point": 4, "vertex": 9, "face": 3, "corner": 3}
 # How the instruments of a rig are wired stays in its file, and has laws that chance does not keep.
-WIRING = {f"sms_jobs.records.{name}" for name in ("instruments", "optical_instruments", "serial_links")}
+WIRING = {
+    f"sms_jobs.records.{name}" for name in ("bursts", "instruments", "optical_instruments", "serial_links")
+}
 STORED = sorted(
     (c for c in record_classes().values() if c not in (Quantity, ArrayStack) and c.__module__ not in WIRING),
     key=lambda c: c.__name__,

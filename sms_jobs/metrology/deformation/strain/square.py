@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import signal
 
 from sms_jobs.metrology.arrays import Floats, Labels
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
@@ -57,6 +56,8 @@ def square_window(side: int, averaging_radius_px: float, subset_radius_px: float
     Exact sums over the pixels: the square's weights for a slope, through the weights (1 - d^2 / radius^2)^2
     of `average_in_region`, and through the subsets of first order that `blend_matches` spreads over pixels.
     """
+    from scipy import signal
+
     half = side // 2
     weights = np.broadcast_to(np.arange(-half, half + 1.0), (side, side))
 
@@ -81,6 +82,8 @@ def matches_to_pixels(radius: float) -> Floats:
 
     A match at every pixel; each stands for the plane that its subset, of `radius` in px, is fitted by.
     """
+    from scipy import signal
+
     side = int(radius)
     if side == 0:
         return np.ones((1, 1))

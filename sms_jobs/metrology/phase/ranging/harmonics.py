@@ -108,6 +108,30 @@ def ghost_error(
     return moved
 
 
+def ghost_level(amplitude: Singles, response: Response, densities: tuple[float, ...], steps: int) -> Floats:
+    """Return what ghosts that are not taken out add to a frame, as a standard deviation in grey levels.
+
+    Parameters
+    ----------
+    amplitude
+        (returns, ...), as `range_returns` finds it; NaN where there is no such return.
+    response, densities, steps
+        As of `ghost_error`.
+
+    Notes
+    -----
+    The residual is sqrt(q / 2) times the rms of either part of z: a ghost of amplitude b leaves b sqrt(q) / 2
+    of it.
+    """
+    power = 0.0
+    for n in range(2, len(response.harmonics) + 1):
+        sides = sum((n - side) % steps == 0 for side in (1, -1))
+        strength = np.array([response.at_density(d)[n - 1] / response.harmonics[0] for d in densities])
+        power += sides * float(np.mean(strength**2))
+    light = np.nansum(np.square(amplitude, dtype=np.float64), axis=0)
+    return np.asarray(np.sqrt(0.25 * steps * power * light))
+
+
 @kernel
 def take_out_ghosts(ghosts: Ghosts, first: int, recorded: Singles, row: Row) -> None:
     """Write to the signal of a row what was recorded less the ghosts of its returns.
