@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from sms_jobs.bench.fringes.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
+from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.records.fields import Surface
@@ -48,7 +49,10 @@ def judged(gamma: float, steps: int, method: Any) -> tuple[Cell, ...]:
     def reconstructed(**parameters: Any) -> tuple[float, float, float]:
         settings = reconstruct.ReconstructParameters(method=method, blur_px=0.0, **parameters)
         records = {"measurement": measurement, "calibration": calibration}
-        cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, settings).records["surface"]
+        try:
+            cloud: Surface = run_kind(reconstruct.KIND, _TUPLE, records, 1, settings).records["surface"]
+        except MeasurementFailed:  # phases that fit no linear projector
+            return 0.0, np.nan, np.nan
         valid = inside & (cloud.reason == Reason.VALID)
         error = np.linalg.norm(cloud.position - shape.xyz, axis=0)[valid]
         sigma = np.sqrt(position_covariance(cloud)[[0, 3, 5]].sum(axis=0))[valid]
