@@ -167,9 +167,9 @@ class Plate:
         rows, columns = self.xyz.shape[:2]
         task = PhaseTask(SUBJECT, measurement, parameters, 1, self.geometry)
         many = len(orientations)
-        transfers = [np.ones(FRINGES)] * many
-        spread = amplitude_spread(task, transfers, None) if shares_amplitudes(parameters) else 0.0
-        known = Known(transfers, [None] * many, [], corrected=False, amplitude_spread=spread)
+        known = Known([np.ones(FRINGES)] * many, [None] * many, [], corrected=False)
+        if shares_amplitudes(parameters):
+            known = replace(known, amplitude_spread=amplitude_spread(task, known.transfers, None))
         phase = PhaseMaps.unset(orientations, rows, columns, bracketed=False)
         returns = ReturnMaps.unset(orientations, parameters.returns, rows, columns)
         reason = np.zeros((rows, columns), np.uint32)

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import pixel_size
+from sms_jobs.metrology.geometry.ray_pairing import AMPLITUDE_TOLERANCE
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.images.masks import high_phase_error, low_modulation
 from sms_jobs.metrology.phase.joint_fit import JointCode
@@ -160,7 +161,7 @@ class Known:
     ripples: list[RippleTable]
     corrected: bool
     codes: tuple[JointCode, ...] = ()
-    amplitude_spread: float = 0.0
+    amplitude_spread: float = AMPLITUDE_TOLERANCE
 
 
 def noise_reasons(

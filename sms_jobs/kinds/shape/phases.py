@@ -7,7 +7,7 @@ be corrected it is found first, in a sample of the frames themselves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -159,11 +159,12 @@ def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
             if response is None
             else [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
         )
-    spread = 0.0
-    if shares_amplitudes(task.parameters):
-        spread = amplitude_spread(task, ranged, None if response is None else responses)
-    codes = joint_codes(task.measurement)
-    return Known(ranged, responses, ripples, response is not None, codes, spread)
+    known = Known(ranged, responses, ripples, response is not None, joint_codes(task.measurement))
+    if not shares_amplitudes(task.parameters):
+        return known
+    return replace(
+        known, amplitude_spread=amplitude_spread(task, ranged, responses if known.corrected else None)
+    )
 
 
 def _largest_ripple(ripples: list[RippleTable]) -> float:

@@ -14,7 +14,12 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseParameters, PhaseTask, mark, noise_reasons
 from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
-from sms_jobs.metrology.geometry.ray_pairing import CandidateReturns, Pairing, PairingRule
+from sms_jobs.metrology.geometry.ray_pairing import (
+    AMPLITUDE_TOLERANCE,
+    CandidateReturns,
+    Pairing,
+    PairingRule,
+)
 from sms_jobs.metrology.images.masks import phase_error_factor
 from sms_jobs.metrology.phase.fourier_domain_ranging import Returns, range_returns, score_threshold
 from sms_jobs.metrology.phase.fringe_blur import transfer_of_sample
@@ -38,7 +43,6 @@ _SHARP = 1.4  # such deviations of a width: two of its square
 _LEAST_TELLING = 30  # pixels whose median tells that
 _MEDIAN_OF_SQUARES = 0.4549  # of a normal number of standard deviation 1
 _LEAST_SPREAD = 0.01  # what a median of so few can miss
-_UNKNOWN_SPREAD = 0.15  # the orientations' fringes are blurred differently by lenses and projector
 
 
 def transfers(task: PhaseTask) -> list[Floats]:
@@ -227,7 +231,7 @@ def amplitude_spread(
         for rank in (0, 1)
     ]
     if not squares:
-        return _UNKNOWN_SPREAD
+        return AMPLITUDE_TOLERANCE
     return max(float(np.sqrt(max(*squares, 0.0))), _LEAST_SPREAD)
 
 

@@ -49,7 +49,8 @@ from sms_jobs.metrology.phase.patterns import direction, span_px
 Labels = NDArray[np.uint16]
 _MOST_COMBINATIONS = 4096
 _OUTSIDE = 1e3  # in log-likelihood: more than any gap of a pixel that would be kept
-_AMPLITUDE_TOLERANCE = 0.15  # the orientations' fringes are blurred differently by lenses and projector
+AMPLITUDE_TOLERANCE = 0.15
+"""Relative standard deviation of an amplitude between orientations, whose fringes are blurred differently."""
 _LARGEST_AMPLITUDE_CHI2 = 9.0  # returns that merged in one orientation must not outvote the gap
 _ONE_PLACE = 3.0  # standard deviations of depth within which two candidates are one point
 
@@ -246,7 +247,7 @@ def choose_returns(
     settings = (
         float(rule.gap_floor_mm),
         float(rule.density_rms),
-        _AMPLITUDE_TOLERANCE,
+        AMPLITUDE_TOLERANCE,
         _LARGEST_AMPLITUDE_CHI2,
         _OUTSIDE,
         _ONE_PLACE,
