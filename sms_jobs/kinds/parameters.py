@@ -24,6 +24,9 @@ class Parameters(BaseModel):
             first = error.errors(include_url=False)[0]
             name = ".".join(str(part) for part in first["loc"])
             names = ", ".join(cls.model_fields) or "none"
+            if not name:
+                why = first["msg"].removeprefix("Value error, ")
+                raise InvalidInput(f"the parameters of {kind} do not fit together: {why}") from error
             raise InvalidInput(
                 f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {first['msg']}; "
                 f"its parameters are {names}"
