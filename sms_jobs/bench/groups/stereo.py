@@ -354,6 +354,9 @@ def _programs_on_published(run: Run, folder: Path) -> Iterator[Found]:
         run.say("stereo: gt4, here")
         here, _, _ = fields_here(given)
         found = differences_um(here, others)
+        moved = 1e3 * np.nanmedian(here, axis=(2, 3))
+        each = "; ".join(", ".join(f"{length:+.2f}" for length in state) for state in moved)
+        yield Condition("gt4_programs, here", f"medians of U, V and W in um: {each}")
         for (one, other), apart in found.items():
             yield Condition(f"gt4_programs, {one} - {other}", _each_state(apart))
     for program in _PEERS:
