@@ -2,9 +2,9 @@
 
     python run_al_dic.py
 
-Reads `case.json` and the images beside it; writes `al_dic.npz` with the pixels, the points at rest and their
-displacement in mm in the first camera's frame, and the CPU time without loading and compiling. Its grid has
-a spacing that is a power of two.
+Reads `case.json` and the images beside it; writes `al_dic.npz` with the pixels, the points at rest, their
+displacement at each other state (states, 3, n) in mm in the first camera's frame, and the CPU time without
+loading and compiling. Its grid has a spacing that is a power of two, the next above what is asked for.
 """
 
 import json
@@ -16,15 +16,13 @@ import numpy as np
 from al_dic_3d.runner import load_config, run_pipeline
 from PIL import Image
 
-SPACING_PX = 8
-
 CONFIG = """
 [calibration]
 file = "calibration.yml"
 format = "opencv_yaml"
 [sequence]
-left = ["0_0.tiff", "0_1.tiff"]
-right = ["1_0.tiff", "1_1.tiff"]
+left = {left}
+right = {right}
 [roi]
 mask = "{mask}"
 [matching]
@@ -32,6 +30,7 @@ winsize = {winsize}
 winstepsize = {spacing}
 winsize_min = {spacing}
 fft_search = {search}
+disparity_offset = {disparity}
 init_guess = "fft"
 [output]
 dir = "al_dic"
@@ -39,8 +38,9 @@ dir = "al_dic"
 
 
 def main() -> None:
-    """Measure two states twice; the first time compiles."""
+    """Measure all states twice; the first time compiles."""
     case = json.loads(Path("case.json").read_text())
+    spacing = 1 << (case["spacing_px"] - 1).bit_length()
     file = cv2.FileStorage("calibration.yml", cv2.FILE_STORAGE_WRITE)
     for number in (0, 1):
         file.write(f"cameraMatrix{number + 1}", np.array(case["matrices"][number]))
@@ -56,8 +56,15 @@ def main() -> None:
     Image.fromarray(corner).save("corner.png")
     cv2.setNumThreads(1)
     for mask in ("corner.png", "roi.png"):
+        left, right = ([f"{camera}_{state}.tiff" for state in range(case["states"])] for camera in (0, 1))
         text = CONFIG.format(
-            winsize=case["subset_px"] - 1, spacing=SPACING_PX, search=case["search_px"], mask=mask
+            left=json.dumps(left),
+            right=json.dumps(right),
+            winsize=case["subset_px"] - 1,
+            spacing=spacing,
+            search=case["search_px"],
+            disparity=case["disparity_px"],
+            mask=mask,
         )
         Path("config.toml").write_text(text)
         started = time.process_time()
@@ -68,9 +75,9 @@ def main() -> None:
         "al_dic.npz",
         pixels=result.ref_coords.T,
         points=found.points[0].T,
-        displacement=found.displacement[-1].T,
+        displacement=np.moveaxis(found.displacement[1:], 2, 1),
         cpu_s=used,
-        spacing_px=SPACING_PX,
+        spacing_px=spacing,
     )
 
 

@@ -2,8 +2,9 @@
 
     python run_pyvale.py
 
-Reads `case.json` and the images beside it; writes `pyvale.npz` with the pixels, the points at rest and their
-displacement in mm in the first camera's frame, and the CPU time without loading the program.
+Reads `case.json` and the images beside it; writes `pyvale.npz` with the pixels, the points at rest, their
+displacement at each other state (states, 3, n) in mm in the first camera's frame, and the CPU time without
+loading the program.
 """
 
 import json
@@ -23,7 +24,7 @@ def camera(matrix, distortion):
 
 
 def main() -> None:
-    """Measure two states, once."""
+    """Measure all states, once."""
     case = json.loads(Path("case.json").read_text())
     turn = Rotation.from_matrix(case["rotation"]).as_euler("xyz", degrees=True)
     rig = calib.Calib(
@@ -37,7 +38,9 @@ def main() -> None:
     used = time.process_time()
     dic.calculate_3d(
         reference=[Path("0_0.tiff"), Path("1_0.tiff")],
-        deformed=[Path("0_1.tiff"), Path("1_1.tiff")],
+        deformed=[
+            [Path(f"{camera}_{state}.tiff") for state in range(1, case["states"])] for camera in (0, 1)
+        ],
         roi_mask=np.array(Image.open("roi.png")) > 0,
         calibration=rig,
         seed=case["seed"],
@@ -57,7 +60,7 @@ def main() -> None:
         "pyvale.npz",
         pixels=np.stack([found.ss_x, found.ss_y]),
         points=np.stack([points.x_mm, points.y_mm, points.z_mm]),
-        displacement=np.stack([points.u_mm, points.v_mm, points.w_mm])[:, -1],
+        displacement=np.stack([points.u_mm, points.v_mm, points.w_mm], axis=1)[1:],
         cpu_s=used,
         spacing_px=case["spacing_px"],
     )

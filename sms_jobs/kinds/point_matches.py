@@ -30,6 +30,9 @@ _IN_WORDS = {
     correlation.TOO_FEW_PIXELS: "with too little of a region about them",
 }
 
+_BEYOND_PX = 2
+"""How far matches are carried beyond the outermost points: what lies about those is told from one side."""
+
 
 def summary(ending: NDArray[np.int32], apart: Split | None = None) -> str:
     """Return in a sentence how the matching of points ended, and which regions came apart."""
@@ -101,13 +104,24 @@ def match_statistics(matches: ImageMatches) -> dict[str, float]:
 
 
 def between_matches(found: GridMatches, shape: tuple[int, ...], spacing_px: int) -> NDArray[np.bool_]:
-    """Return the pixels that lie between matched points, and nearest to one of them, (rows, columns).
+    """Return the pixels nearest to a matched point, (rows, columns), where somebody has looked.
 
-    Beyond the outermost points, and where a point has failed, nobody has looked.
+    They lie between matched points or, farther from the image's border than the points from each other, up
+    to `_BEYOND_PX` beyond the outermost ones, whose subsets have held them. Where a point near them has
+    failed, only those between matched ones are left.
     """
     matched = found.matches.ending == correlation.CONVERGED
-    points = np.zeros(shape, dtype=bool)
-    points[found.y[matched], found.x[matched]] = True
-    nearest = widened(points, spacing_px | 1)
+    points, failed = (_marked(found, which, shape) for which in (matched, ~matched))
     size = 2 * spacing_px + 1
-    return nearest & narrowed(widened(points, size), size, border_ends=True)
+    nearest = widened(points, spacing_px | 1)
+    between = narrowed(widened(points, size), size, border_ends=True)
+    inside = narrowed(np.ones(shape, dtype=bool), size, border_ends=True)
+    beyond = widened(between, 2 * _BEYOND_PX + 1) & inside & ~widened(failed, size)
+    return nearest & (between | beyond)
+
+
+def _marked(found: GridMatches, which: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the pixels (rows, columns) at some of the points."""
+    marked = np.zeros(shape, dtype=bool)
+    marked[found.y[which], found.x[which]] = True
+    return marked

@@ -5,12 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from sms_jobs.bench.compared_fields import reported_over_observed
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
 from sms_jobs.bench.peers import PEERS, peers_folder
+from sms_jobs.bench.two_cameras.compared_programs import (
+    GT4_SPACING_PX,
+    GT4_SUBSET_PX,
+    differences_um,
+    given_gt4,
+)
 from sms_jobs.bench.two_cameras.errors import (
     OUTLIER_PX,
     OUTLIER_SIGMAS,
@@ -22,6 +29,7 @@ from sms_jobs.bench.two_cameras.peers import (
     SUBSET_PX,
     Case,
     Outcome,
+    fields_here,
     measured_by,
     measured_here,
     prepare,
@@ -67,6 +75,8 @@ _CASES = {
     "shift": "pyvale's plate, rendered by riley, shifted by 5 mm along x and y, part of it out of the image",
     "hole": "pyvale's plate with a hole, rendered by riley, stretched by 0.1 mm, against its mesh",
 }
+_USUAL_UM = {"u": 2.0, "v": 2.0, "w": 6.0}
+"""By how much programs of the field differ, in plane and out of plane."""
 _SPECIMENS = {"curved": curved, "stepped": stepped}
 
 
@@ -298,15 +308,18 @@ def _peers(run: Run) -> Iterator[Found]:
             "platehole", f"left out: --quick, or {PEERS} names no folder that ops/peers.sh has made"
         )
         return
+    yield from _programs_on_published(run, folder)
     run.say("stereo: rendering plates")
     cases = rendered_plates(folder, run.folder)
     found: dict[tuple[str, str], Outcome] = {}
     for name, case in cases.items():
-        prepare(case, run.folder / name)
+        prepare(case.given, run.folder / name)
         for program in ("here", *_PEERS):
             run.say(f"stereo: {name}, {program}")
             outcome = (
-                measured_here(case) if program == "here" else measured_by(folder, program, run.folder / name)
+                measured_here(case.given)
+                if program == "here"
+                else measured_by(folder, program, run.folder / name)
             )
             found[name, program] = outcome
     hole = found["hole", "here"]
@@ -326,6 +339,53 @@ def _peers(run: Run) -> Iterator[Found]:
         "images to displacement, loading and compiling left out; here shape and covariance of every "
         "pixel are in it, and second order between the cameras, which the others do not have",
     )
+
+
+def _programs_on_published(run: Run, folder: Path) -> Iterator[Found]:
+    """Yield by how much several programs differ on published images."""
+    found = None
+    if published():
+        given = given_gt4()
+        prepare(given, run.folder / "gt4")
+        others = {}
+        for program in _PEERS:
+            run.say(f"stereo: gt4, {program}")
+            others[program] = measured_by(folder, program, run.folder / "gt4")
+        run.say("stereo: gt4, here")
+        here, _, _ = fields_here(given)
+        found = differences_um(here, others)
+        moved = 1e3 * np.nanmedian(here, axis=(2, 3))
+        each = "; ".join(", ".join(f"{length:+.2f}" for length in state) for state in moved)
+        yield Condition("gt4_programs, here", f"medians of U, V and W in um: {each}")
+        for (one, other), apart in found.items():
+            yield Condition(f"gt4_programs, {one} - {other}", _each_state(apart))
+    for program in _PEERS:
+        last = None if found is None else np.nanmedian(np.abs(found["here", program][-1]), axis=1)
+        for number, (axis, usual) in enumerate(_USUAL_UM.items()):
+            value = None if last is None else float(last[number])
+            yield Figure(f"gt4_{program}_{axis}_um", value, "um", usual, "at most")
+    yield Condition(
+        "gt4_programs",
+        f"left out: {FOLDER} is not there"
+        if found is None
+        else "medians of the absolute differences of U, V and W in um, in brackets those of the differences, "
+        "of each state from the first to the last, which the figures are of; in the frame of the reference "
+        "camera (x right, y down, z along its axis). All programs are given the images, VIC-3D's calibration "
+        f"and one outline; subsets of {GT4_SUBSET_PX} px, in time of first order, between the cameras of "
+        f"second here and of first elsewhere, points {GT4_SPACING_PX} px apart; set "
+        "besides is how far all look, and the noise that is stated here",
+    )
+
+
+def _each_state(apart: Floats) -> str:
+    """Return in words by how much displacements (states, 3, n) in um differ."""
+    middle, size = (np.nanmedian(one, axis=2) for one in (apart, np.abs(apart)))
+    count = np.isfinite(apart).all(axis=(0, 1)).sum()
+    each = (
+        ", ".join(f"{s:.2f} ({m:+.2f})" for s, m in zip(*state, strict=True))
+        for state in zip(size, middle, strict=True)
+    )
+    return f"{'; '.join(each)}; {count} points"
 
 
 def _told(program: str, outcome: Outcome, case: Case) -> str:

@@ -19,10 +19,11 @@ from sms_jobs.bench.two_cameras.plane_meshes import field_at
 from sms_jobs.kinds.deformation import correlate
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.shape import stereo
-from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.records.campaign import Campaign, LoadState, Specimen
+from sms_jobs.records.fields import ImageMatches
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.subject import Subject
@@ -42,6 +43,38 @@ _MIDDLE = (0.5 * (_COLUMNS - 1), 0.5 * (_ROWS - 1))
 _PLATE_MM = (100.0, 150.0)
 _ANGLE_RAD = np.radians(20.0)
 _SHIFT_MM = 5.0
+
+
+@dataclass(frozen=True)
+class Given:
+    """States of a specimen that two cameras see, and how all programs are to measure them.
+
+    Attributes
+    ----------
+    images
+        Of each state and camera, (rows, columns); the first state is the reference.
+    calibration
+        Cameras C1 and C2.
+    specimen
+        (rows, columns), what of C1's image at rest is to be measured.
+    search_px
+        How far displacements are looked for.
+    subset_px, spacing_px
+        Width of a subset, and the distance of the points where a program leaves that to us.
+    disparity_px
+        Where C2's image shows what C1's does, x and y, within 40 px.
+    noise
+        Standard deviation of a pixel, in grey levels.
+    """
+
+    images: tuple[tuple[Image8, Image8], ...]
+    calibration: Calibration
+    specimen: Mask
+    search_px: int
+    subset_px: int = SUBSET_PX
+    spacing_px: int = SPACING_PX
+    disparity_px: tuple[float, float] = (0.0, 0.0)
+    noise: float = _ROUNDING
 
 
 @dataclass(frozen=True)
@@ -65,6 +98,11 @@ class Case:
     truth: Floats
     search_px: int
 
+    @property
+    def given(self) -> Given:
+        """What programs are given of it."""
+        return Given(self.images, self.calibration, np.isfinite(self.truth[0]), self.search_px)
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -75,7 +113,7 @@ class Outcome:
     pixels
         (2, n), x and y in the image of C1.
     displacement
-        (3, n), mm; NaN where it found none.
+        (states, 3, n) in mm in C1's frame, of all states but the reference; NaN where it found none.
     cpu_s
         What it took, without loading and compiling.
     spacing_px
@@ -88,13 +126,13 @@ class Outcome:
     spacing_px: int
 
     def points_per_cpu_s(self) -> float:
-        """Return how many points with a displacement a CPU-second gives."""
-        return float(np.isfinite(self.displacement).all(axis=0).sum() / self.cpu_s)
+        """Return how many points with all displacements a CPU-second gives."""
+        return float(np.isfinite(self.displacement).all(axis=(0, 1)).sum() / self.cpu_s)
 
     def errors_mm(self, case: Case) -> Floats:
-        """Return the lengths of the errors at all points with a displacement on the specimen."""
+        """Return the lengths of the errors of the last state at all points on the specimen that have one."""
         x, y = np.rint(self.pixels).astype(np.int64)
-        error = self.displacement - case.truth[:, y, x]
+        error = self.displacement[-1] - case.truth[:, y, x]
         return np.asarray(np.linalg.norm(error[:, np.isfinite(error).all(axis=0)], axis=0))
 
     def valid_part(self, case: Case) -> float:
@@ -150,72 +188,88 @@ def _rendered_rig() -> Calibration:
     return Calibration(Rig("rendered", sensors), volume, _AT, "exact")
 
 
-def prepare(case: Case, folder: Path) -> None:
+def prepare(given: Given, folder: Path) -> None:
     """Write what the scripts of the others read."""
     folder.mkdir()
-    for state, pair in enumerate(case.images):
+    for state, pair in enumerate(given.images):
         for camera, image in enumerate(pair):
             Image.fromarray(image).save(folder / f"{camera}_{state}.tiff")
-    specimen = np.isfinite(case.truth[0])
-    Image.fromarray(np.where(specimen, 255, 0).astype(np.uint8)).save(folder / "roi.png")
-    cameras = [case.calibration.rig.sensor(name) for name in ("C1", "C2")]
-    second = cameras[1].pose
-    rows, columns = specimen.shape
+    Image.fromarray(np.where(given.specimen, 255, 0).astype(np.uint8)).save(folder / "roi.png")
+    first, second = (given.calibration.rig.sensor(name) for name in ("C1", "C2"))
+    turn = second.pose.matrix() @ first.pose.matrix().T
+    shift = np.array(second.pose.translation) - turn @ np.array(first.pose.translation)
+    rows, columns = given.specimen.shape
     written = {
-        "matrices": [camera.intrinsics.matrix().tolist() for camera in cameras],
+        "states": len(given.images),
+        "matrices": [camera.intrinsics.matrix().tolist() for camera in (first, second)],
         "distortions": [
             [getattr(camera.intrinsics, name) for name in ("k1", "k2", "p1", "p2", "k3")]
-            for camera in cameras
+            for camera in (first, second)
         ],
-        "rotation": second.matrix().tolist(),
-        "translation": list(second.translation),
+        "rotation": turn.tolist(),
+        "translation": shift.tolist(),
         "seed": [columns // 5, rows // 3],
-        "subset_px": SUBSET_PX,
-        "spacing_px": SPACING_PX,
-        "search_px": case.search_px,
+        "subset_px": given.subset_px,
+        "spacing_px": given.spacing_px,
+        "search_px": given.search_px,
+        "disparity_px": given.disparity_px,
     }
     (folder / "case.json").write_text(json.dumps(written), encoding="utf-8")
 
 
 def measured_by(peers: Path, script: str, folder: Path) -> Outcome:
-    """Let another program measure a prepared case."""
+    """Let another program measure what was prepared in a folder."""
     run_script(peers, f"run_{script}.py", folder)
     found = np.load(folder / f"{script}.npz")
     return Outcome(found["pixels"], found["displacement"], float(found["cpu_s"]), int(found["spacing_px"]))
 
 
-def measured_here(case: Case) -> Outcome:
-    """Measure a case with one thread: points of the grid, with the displacement of their pixel."""
-    states = (LoadState("S00", 0.0, time=_AT), LoadState("S01", 1.0, time=_AT))
+def measured_here(given: Given) -> Outcome:
+    """Measure with one thread: points of the grid, with the displacement of their pixel."""
+    moved, matches, used = fields_here(given)
+    x, y = matches.x.astype(np.int64), matches.y.astype(np.int64)
+    return Outcome(np.stack([matches.x, matches.y]), moved[:, :, y, x], used, given.spacing_px)
+
+
+def fields_here(given: Given) -> tuple[Floats, ImageMatches, float]:
+    """Measure all states with one thread.
+
+    Returns
+    -------
+    displacement, matches, cpu_s
+        (states, 3, rows, columns) in mm in C1's frame, of all states but the reference; the points of the
+        last; and the CPU time that it took.
+    """
+    states = tuple(LoadState(f"S{n:02d}", float(n), time=_AT) for n in range(len(given.images)))
     specimen = Specimen("plate", "unknown", "rendered")
     campaign = Campaign("peers", specimen, "rendered", states, ("C1C2",), FringeSequence(), None)
-    shelf = Shelf(campaign, 1)
-    last = Subject("peers", "S01", "C1C2")
-    radius = SUBSET_PX // 2
-    used = 0.0
-    for state, pair in zip(states, case.images, strict=True):
-        subject = replace(last, state=state.label)
-        shelf.records[CALIBRATION, subject] = {"calibration": case.calibration}
-        for own, image in zip(subject.recordings, pair, strict=True):
-            shelf.records[MEASUREMENT, own] = {"measurement": _recorded(image)}
-        between = stereo.KIND.parameters(subset_radius_px=radius, spacing_px=SPACING_PX)
-        used += _cpu_seconds(lambda s=subject, p=between: shelf.run(stereo.KIND, s, p))  # type: ignore[misc]
+    shelf, last = Shelf(campaign, 1), Subject("peers", states[-1].label, "C1C2")
+    radius = given.subset_px // 2
+    between = stereo.KIND.parameters(subset_radius_px=radius, spacing_px=given.spacing_px)
     in_time = correlate.KIND.parameters(
         subset_radius_px=radius,
-        spacing_px=SPACING_PX,
-        search_range_x_px=case.search_px,
-        search_range_y_px=case.search_px,
+        spacing_px=given.spacing_px,
+        search_range_x_px=given.search_px,
+        search_range_y_px=given.search_px,
     )
-    used += _cpu_seconds(lambda: shelf.run(correlate.KIND, last, in_time))
-    found = shelf.records["correlate", last]
-    x, y = found["matches"].x, found["matches"].y
-    moved = found["displacement"].displacement[:, y.astype(np.int64), x.astype(np.int64)]
-    return Outcome(np.stack([x, y]), moved, used, SPACING_PX)
+    turn = given.calibration.rig.sensor("C1").pose.matrix()
+    used, moved = 0.0, []
+    for state, pair in zip(states, given.images, strict=True):
+        subject = replace(last, state=state.label)
+        shelf.records[CALIBRATION, subject] = {"calibration": given.calibration}
+        for own, image in zip(subject.recordings, pair, strict=True):
+            shelf.records[MEASUREMENT, own] = {"measurement": _recorded(image, given.noise)}
+        used += _cpu_seconds(lambda s=subject: shelf.run(stereo.KIND, s, between))  # type: ignore[misc]
+        if state is not campaign.reference:
+            used += _cpu_seconds(lambda s=subject: shelf.run(correlate.KIND, s, in_time))  # type: ignore[misc]
+            found = shelf.records["correlate", subject]
+            moved.append(np.einsum("ij,jyx->iyx", turn, found["displacement"].displacement))
+    return np.stack(moved), found["matches"], used
 
 
-def _recorded(image: Image8) -> Measurement:
+def _recorded(image: Image8, noise: float) -> Measurement:
     levels = image.astype(np.uint16)
-    return Measurement(_AT, FringeSequence(), 255, 0.0, _ROUNDING, levels, ArrayStack(levels[None]))
+    return Measurement(_AT, FringeSequence(), 255, 0.0, noise, levels, ArrayStack(levels[None]))
 
 
 def _cpu_seconds(work: Callable[[], object]) -> float:

@@ -24,13 +24,17 @@ def case() -> Case:
 
 def test_the_case_is_written_as_it_is(home: Path) -> None:
     one = case()
-    prepare(one, home / "case")
+    prepare(one.given, home / "case")
     np.testing.assert_array_equal(np.array(Image.open(home / "case" / "1_0.tiff")), one.images[0][1])
     np.testing.assert_array_equal(np.array(Image.open(home / "case" / "0_1.tiff")), one.images[1][0])
     assert np.count_nonzero(np.array(Image.open(home / "case" / "roi.png"))) == 400
     written = json.loads((home / "case" / "case.json").read_text(encoding="utf-8"))
-    second = one.calibration.rig.sensor("C2")
-    np.testing.assert_allclose(written["rotation"], second.pose.matrix())
+    first, second = (one.calibration.rig.sensor(name) for name in ("C1", "C2"))
+    # From the frame of the first camera into that of the second.
+    point = np.array([3.0, -7.0, 400.0])
+    seen = [camera.pose.matrix() @ point + camera.pose.translation for camera in (first, second)]
+    np.testing.assert_allclose(written["rotation"] @ seen[0] + written["translation"], seen[1])
+    assert written["states"] == 2
     assert written["matrices"][1][0][0] == second.intrinsics.fx
     assert written["search_px"] == 8
 
@@ -40,7 +44,7 @@ def test_points_beside_the_specimen_and_without_displacement_do_not_count() -> N
     y, x = np.mgrid[0:40:5, 0:50:5].reshape(2, -1).astype(float)
     moved = np.broadcast_to(np.array([1.0, -1.0, 0.3])[:, None], (3, len(x))).copy()
     moved[:, (x == 10) & (y == 10)] = np.nan
-    found = Outcome(np.stack([x, y]), moved, 2.0, 5)
+    found = Outcome(np.stack([x, y]), moved[None], 2.0, 5)
     np.testing.assert_allclose(found.errors_mm(one), 0.3)
     # 4 x 4 points lie on the specimen, and one has failed.
     assert found.valid_part(one) == pytest.approx(15 / 16)
