@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import cast
 
+import numpy as np
+
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, position_covariance
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.strain.square import rectangle_window
 from sms_jobs.metrology.deformation.strain.strain_errors import (
     MatchedShape,
     SharedErrors,
@@ -44,3 +47,11 @@ def errors_of_gauge(
         shape=shape,
         window=window,
     )
+
+
+def errors_of_rectangle(
+    moved: DisplacementField, surface: Surface, length_px: float, width_px: float
+) -> SharedErrors:
+    """Return the errors of a displacement as they disturb slopes along the length of a rectangle."""
+    window = rectangle_window(length_px, width_px, moved.averaging_radius_px, radius_in_time(moved))
+    return errors_of_gauge(moved, surface, float(np.sqrt(length_px * width_px / np.pi)), window)

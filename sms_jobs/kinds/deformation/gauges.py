@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge, gauge_from
 from sms_jobs.kinds.calibration_factors import States, gauge_sigma, states_of
-from sms_jobs.kinds.gauge_errors import errors_of_gauge
+from sms_jobs.kinds.gauge_errors import errors_of_rectangle
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -130,8 +130,7 @@ def read_gauges(
     green = parameters.measure == "green-lagrange"
     found, parts = [], []
     for number, place in enumerate(places, start=1):
-        radius_px = float(np.sqrt(place.length * place.width / np.pi)) / pitch
-        errors = errors_of_gauge(moved, surface, radius_px)
+        errors = errors_of_rectangle(moved, surface, place.length / pitch, place.width / pitch)
         found.append(
             read_gauge(
                 place,
@@ -192,7 +191,7 @@ def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParam
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=4,
+    version=5,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
     inputs=(_MOVED, *_REFERENCE.all),

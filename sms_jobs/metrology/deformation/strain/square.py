@@ -42,30 +42,37 @@ def radius_of_equal_spread(side: float) -> float:
 
 
 def square_window(side: int, averaging_radius_px: float, subset_radius_px: float) -> Window:
-    """Return what a square of `side` x `side` pixels sees of filtered errors.
+    """Return what a square of `side` x `side` pixels sees of filtered errors, as `rectangle_window` does."""
+    return rectangle_window(side, side, averaging_radius_px, subset_radius_px)
+
+
+def rectangle_window(
+    length: float, width: float, averaging_radius_px: float, subset_radius_px: float
+) -> Window:
+    """Return what a rectangle of pixels, of which slopes along its length are taken, sees of filtered errors.
 
     Parameters
     ----------
-    side
-        Odd, in px.
+    length, width
+        In px, to the nearest odd number.
     averaging_radius_px, subset_radius_px
         Distances over which errors of shape and of match go together; 0 for none.
 
     Notes
     -----
-    Exact sums over the pixels: the square's weights for a slope, through the weights (1 - d^2 / radius^2)^2
+    Exact sums over the pixels: its weights for a slope, through the weights (1 - d^2 / radius^2)^2
     of `average_in_region`, and through the subsets of first order that `blend_matches` spreads over pixels.
     """
     from scipy import signal
 
-    half = side // 2
-    weights = np.broadcast_to(np.arange(-half, half + 1.0), (side, side))
+    half, across = max(round((length - 1.0) / 2.0), 1), max(round((width - 1.0) / 2.0), 0)
+    weights = np.broadcast_to(np.arange(-half, half + 1.0), (2 * across + 1, 2 * half + 1))
 
     def seen(filtered: Floats) -> float:
         return float(np.sum(signal.fftconvolve(weights, filtered) ** 2) / np.sum(weights**2))
 
     return Window(
-        float(side**2), seen(_averaging(averaging_radius_px)), seen(matches_to_pixels(subset_radius_px))
+        float(weights.size), seen(_averaging(averaging_radius_px)), seen(matches_to_pixels(subset_radius_px))
     )
 
 
