@@ -66,7 +66,8 @@ def measure(run: Run) -> Iterator[Found]:
         subjects = [Subject(campaign.name, label, campaign.views[0]) for label in labels]
         for subject in subjects:
             shelf.record(subject)
-        for number, known in enumerate(_calibrations(calibration, draws, rng), start=1):
+        several = 1 if scene.only else draws
+        for number, known in enumerate(_calibrations(calibration, several, rng), start=1):
             run.say(f"{campaign.name}: calibration {number}")
             _judge(shelf, subjects, known, number == 1, scene.only, scores)
     for pair in (make() for make in pairs(seed, quick=run.quick)):
@@ -87,7 +88,8 @@ def measure(run: Run) -> Iterator[Found]:
         "hole and step in fringes, 512 px, cylinder and plate with hole and step before two cameras of "
         f"{_COLUMNS} px (first view, defaults, first and last state), shape and its means on the top hat "
         f"with {draws} calibrations drawn from the covariance of {len(MANY_SESSIONS.angles)} poses of a bar, "
-        "all else with the first of these, on other specimens with the exact one; pairs of a camera "
+        "all else with the first of these, on other specimens with the exact one; folds and the holes of two "
+        "cameras on further recordings of the same; pairs of a camera "
         f"alone; seed {seed}. Normal errors have 0.9545 within two deviations, and 0.93 to 0.97 is wanted; "
         f"of fewer than {_LEAST} errors nothing is said" + (f": {', '.join(few)}" if few else ""),
     )
@@ -95,10 +97,7 @@ def measure(run: Run) -> Iterator[Found]:
 
 @dataclass(frozen=True)
 class _Scene:
-    """A campaign, how many of its last states are measured, and the one stratum that is judged, if not all.
-
-    The flat parts of a scene that has but one stratum are that.
-    """
+    """A campaign, how many of its last states are measured, and which stratum is judged, if not all."""
 
     made: Made
     states: int = 1
@@ -114,10 +113,14 @@ def _scenes(quick: bool, seed: int) -> Iterator[_Scene]:
     yield _Scene(_fresh(hole_and_step_translation("hole-and-step", "small"), seed))
     yield _Scene(_turned(_fresh(tension_panel("turned-panel", "small"), seed + 1)), only="turned")
     yield _Scene(_lit(_fresh(tension_panel("bright-panel", "small"), seed + 2)), only="bright")
+    for more in (3, 4):
+        yield _Scene(_fresh(top_hat_bending(f"top-hat-{more}", "small"), seed + more), only="fold")
     rig = stereo_rig(_COLUMNS, 4 * _COLUMNS // 5, stand_off_mm=_STAND_OFF_MM)
     yield _Scene(_fresh(stereo_campaign("cylinder", rig=rig), seed))
     field_mm = _STAND_OFF_MM * _COLUMNS / rig.sensor("C1").intrinsics.fx
-    yield _Scene(_fresh(stereo_campaign("stepped", rig=rig, surface=stepped(field_mm)), seed))
+    plate = stepped(field_mm)
+    yield _Scene(_fresh(stereo_campaign("stepped", rig=rig, surface=plate), seed))
+    yield _Scene(_fresh(stereo_campaign("stepped-1", rig=rig, surface=plate), seed + 1), only="hole")
 
 
 def _fresh(made: Made, seed: int) -> Made:

@@ -18,7 +18,7 @@ from sms_jobs.metrology.geometry.transforms import pack, unpack
 _OF_STRAIN = 0.25
 """Part of a bias that may have the shape of a strain over a gauge disc, where no subsets limit it: half of a
 wave of the worst length, and half of that in the mean over its directions."""
-_WIDEST = 16.0  # of a disc's radius over that of subsets: beyond, all but 3 % of what noise does is seen
+_WIDEST = 24.0  # of a disc's radius over that of subsets: beyond, all but 4 % of what noise does is seen
 _DIGITS = 3  # of the radii for which it is remembered
 
 
