@@ -94,10 +94,14 @@ class SharedErrors:
         """
         if part == 1.0 or (self.averaging_radius_px == 0.0 and not self.matched):
             return 1.0, 1.0
-        match = sum(
-            share * seen_of_match(one, part * self.disc_radius_px) / seen_of_match(one, self.disc_radius_px)
-            for one, share in self.matched
-        )
+        match = 1.0
+        if self.matched:
+            match = sum(
+                share
+                * seen_of_match(one, part * self.disc_radius_px)
+                / seen_of_match(one, self.disc_radius_px)
+                for one, share in self.matched
+            )
         if self.averaging_radius_px == 0.0:
             return match, match
         shape = self.averaging_radius_px / self.disc_radius_px
