@@ -232,6 +232,12 @@ class DisplacementField:
 
     The spatial resolution is that of whole subsets: in the image as the median, `resolution_px`, and on the
     surface at each pixel, in the direction in which a pixel covers most of it.
+
+    Attributes
+    ----------
+    match_radius_px, match_order
+        Of the subsets that were matched in time, and of their deformation. `subset_radius_px` is the larger
+        of that radius and that of the subsets of which shape was made. None where that is not told.
     """
 
     view: str
@@ -254,6 +260,8 @@ class DisplacementField:
     axes: Axes = "XYZ"
     resolution_px: float | None = None
     resolution: Singles | None = array(UNIT, _RESOLUTION, default=None)
+    match_radius_px: int | None = None
+    match_order: int | None = None
 
 
 StrainMeasure = Literal["green-lagrange", "small"]

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import ndimage
+from numpy.typing import NDArray
 
 from sms_jobs.bench.correlated.lone_camera import DEFORMED, correlated
 from sms_jobs.bench.correlated.truth_pairs import READ_NOISE, TruthPair, pairs
+from sms_jobs.bench.covered import NEAR_PX, gauge_scores, mean_scores, strata_of
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.sessions.bar_session import MANY_SESSIONS, bar_session
 from sms_jobs.bench.sessions.drawn_calibrations import moved, of_a_bar_session
@@ -19,15 +21,15 @@ from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.surface_ports import maker_of
-from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.records.fields import DisplacementField, PhaseMaps, StrainField, Surface
+from sms_jobs.metrology.arrays import Floats
+from sms_jobs.records.fields import DisplacementField, StrainField, Surface
 from sms_jobs.records.quantity import SYMMETRIC
+from sms_jobs.records.scene import Rigid, UniaxialStrain
 from sms_jobs.records.sensors import Calibration
 from sms_jobs.records.subject import Subject
 from sms_jobs.testing.shelf import Shelf
 from sms_jobs.virtual_rig.campaigns import Made, hole_and_step_translation, tension_panel, top_hat_bending
 from sms_jobs.virtual_rig.stereo_campaigns import stepped, stereo_campaign, stereo_rig
-from sms_jobs.virtual_rig.truth import Truth
 
 Scores: TypeAlias = dict[tuple[str, str], list[Floats]]
 """Errors in standard deviations, by quantity and stratum."""
@@ -38,14 +40,10 @@ _LEAST = 10_000
 _DRAWS, _SEED = 6, 3
 _SENSORS_OF_THE_BAR = 4
 _COLUMNS, _STAND_OFF_MM = 640, 500.0
-_NEAR_PX = 10
-"""Of an edge or a fold: a subset's radius."""
-_FOLD = np.radians(10.0)
-"""Between the normals at both sides of a pixel."""
-_CURVED = np.radians(0.05)
-"""A pixel, of the normal."""
-_DIM = 0.5
-"""Of the median modulation."""
+_BRIGHT = 1.25
+"""Exposure at which a twelfth of what is bright on the tension panel saturates."""
+_ROTATION = 0.15
+"""In rad, in the image: 38 px at the rim of the panel."""
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 
 
@@ -60,18 +58,18 @@ def measure(run: Run) -> Iterator[Found]:
     rng = np.random.default_rng(seed)
     scores: Scores = defaultdict(list)
     draws = 1 if run.quick else _DRAWS
-    for calibration, campaign in _campaigns(run.quick):
+    for scene in _scenes(run.quick, seed):
+        calibration, campaign = scene.made
         shelf = Shelf(campaign, run.threads)
         run.say(f"recording {campaign.name}")
-        at_rest, last = (
-            Subject(campaign.name, state.label, campaign.views[0])
-            for state in (campaign.reference, campaign.states[-1])
-        )
-        for subject in (at_rest, last):
+        labels = (campaign.reference.label, *(state.label for state in campaign.states[1:][-scene.states :]))
+        subjects = [Subject(campaign.name, label, campaign.views[0]) for label in labels]
+        for subject in subjects:
             shelf.record(subject)
-        for number, known in enumerate(_calibrations(calibration, draws, rng), start=1):
+        several = 1 if scene.only else draws
+        for number, known in enumerate(_calibrations(calibration, several, rng), start=1):
             run.say(f"{campaign.name}: calibration {number}")
-            _judge(shelf, at_rest, last, known, scores)
+            _judge(shelf, subjects, known, number == 1, scene.only, scores)
     for pair in (make() for make in pairs(seed, quick=run.quick)):
         if pair.group in ("clean", "sine", "crack"):
             run.say(f"matching {pair.name}")
@@ -86,25 +84,70 @@ def measure(run: Run) -> Iterator[Found]:
     few = sorted(f"{q} {s} ({len(v)})" for (q, s), v in found.items() if 0 < len(v) < _LEAST)
     yield Condition(
         "2sigma",
-        "components one by one; tension panel, top hat, plate with hole and step in fringes, 512 px, "
-        f"cylinder and plate with hole and step before two cameras of {_COLUMNS} px (first view, defaults, "
-        f"first and last state), the top hat with {draws} calibrations drawn from the covariance "
-        f"of {len(MANY_SESSIONS.angles)} poses of a bar, the others with the exact one; pairs of a camera "
+        "components one by one; tension panel, the same turned and near saturation, top hat, plate with "
+        "hole and step in fringes, 512 px, cylinder and plate with hole and step before two cameras of "
+        f"{_COLUMNS} px (first view, defaults, first and last state), shape and its means on the top hat "
+        f"with {draws} calibrations drawn from the covariance of {len(MANY_SESSIONS.angles)} poses of a bar, "
+        "all else with the first of these, on other specimens with the exact one; folds and the holes of two "
+        "cameras on further recordings of the same; pairs of a camera "
         f"alone; seed {seed}. Normal errors have 0.9545 within two deviations, and 0.93 to 0.97 is wanted; "
         f"of fewer than {_LEAST} errors nothing is said" + (f": {', '.join(few)}" if few else ""),
     )
 
 
-def _campaigns(quick: bool) -> Iterator[Made]:
-    yield tension_panel("tension-panel", "small")
+@dataclass(frozen=True)
+class _Scene:
+    """A campaign, how many of its last states are measured, and which stratum is judged, if not all."""
+
+    made: Made
+    states: int = 1
+    only: str = ""
+
+
+def _scenes(quick: bool, seed: int) -> Iterator[_Scene]:
+    """Yield the scenes, with noise and speckle from a seed."""
+    yield _Scene(_fresh(tension_panel("tension-panel", "small"), seed), states=2)
     if quick:
         return
-    yield top_hat_bending("top-hat", "small")
-    yield hole_and_step_translation("hole-and-step", "small")
+    yield _Scene(_fresh(top_hat_bending("top-hat", "small"), seed))
+    yield _Scene(_fresh(hole_and_step_translation("hole-and-step", "small"), seed))
+    yield _Scene(_turned(_fresh(tension_panel("turned-panel", "small"), seed + 1)), only="turned")
+    yield _Scene(_lit(_fresh(tension_panel("bright-panel", "small"), seed + 2)), only="bright")
+    for more in (3, 4):
+        yield _Scene(_fresh(top_hat_bending(f"top-hat-{more}", "small"), seed + more), only="fold")
     rig = stereo_rig(_COLUMNS, 4 * _COLUMNS // 5, stand_off_mm=_STAND_OFF_MM)
-    yield stereo_campaign("cylinder", rig=rig)
+    yield _Scene(_fresh(stereo_campaign("cylinder", rig=rig), seed))
     field_mm = _STAND_OFF_MM * _COLUMNS / rig.sensor("C1").intrinsics.fx
-    yield stereo_campaign("stepped", rig=rig, surface=stepped(field_mm))
+    plate = stepped(field_mm)
+    yield _Scene(_fresh(stereo_campaign("stepped", rig=rig, surface=plate), seed))
+    yield _Scene(_fresh(stereo_campaign("stepped-1", rig=rig, surface=plate), seed + 1), only="hole")
+
+
+def _fresh(made: Made, seed: int) -> Made:
+    """Return a campaign with other noise and other speckle."""
+    calibration, campaign = made
+    assert campaign.scene is not None
+    speckle = campaign.scene.speckle
+    assert speckle is not None
+    scene = replace(campaign.scene, seed=seed, speckle=replace(speckle, seed=seed))
+    return calibration, replace(campaign, scene=scene)
+
+
+def _turned(made: Made) -> Made:
+    """Return a campaign whose last state is stretched and turned by a large angle in the image."""
+    calibration, campaign = made
+    turn = (UniaxialStrain(2e-3, 0.33), Rigid((0.02, -0.01, _ROTATION), (1.0, -0.5, 0.8)))
+    return calibration, replace(
+        campaign, states=(*campaign.states[:-1], replace(campaign.states[-1], deformation=turn))
+    )
+
+
+def _lit(made: Made) -> Made:
+    """Return a campaign that is exposed for so long that some of it saturates."""
+    calibration, campaign = made
+    assert campaign.scene is not None
+    scene = replace(campaign.scene, camera=replace(campaign.scene.camera, exposure=_BRIGHT))
+    return calibration, replace(campaign, scene=scene)
 
 
 def _share(scores: Floats) -> float:
@@ -125,65 +168,76 @@ def _calibrations(calibration: Calibration, draws: int, rng: np.random.Generator
         yield {"calibration": moved(calibration, names, steps), "uncertainty": uncertainty}
 
 
-def _judge(shelf: Shelf, at_rest: Subject, last: Subject, known: dict[str, Any], scores: Scores) -> None:
-    """Measure two states with a calibration, and add the errors in deviations to `scores`."""
+def _judge(
+    shelf: Shelf, subjects: list[Subject], known: dict[str, Any], first: bool, only: str, scores: Scores
+) -> None:
+    """Measure states with a calibration, and add the errors in deviations to `scores`.
+
+    Of any but the first calibration shape alone: displacement and strain have the same errors by all.
+    """
+    at_rest, last = subjects[0], subjects[-1]
     maker = all_kinds()[maker_of(last.view).kind]
-    for subject in (at_rest, last):
+    for subject in subjects if first else (at_rest,):
         shelf.records[CALIBRATION, subject] = known
         shelf.run(maker, subject, maker.parameters())
-    for kind in (correlate.KIND, strain.KIND):
-        shelf.run(kind, last, kind.parameters())
+        for kind in (correlate.KIND, strain.KIND) if subject is not at_rest else ():
+            shelf.run(kind, subject, kind.parameters())
     truth, made = shelf.truth(last), shelf.records[maker.name, at_rest]
     surface: Surface = made["surface"]
-    displacement: DisplacementField = shelf.records["correlate", last]["displacement"]
-    strained: StrainField = shelf.records["strain", last]["strain"]
     assert surface.covariance is not None
-    of_shape, of_displacement, of_strain = (
-        (surface.position - truth.shape.xyz, surface.covariance[_DIAGONAL]),
-        (displacement.displacement - truth.displacement, displacement.covariance[_DIAGONAL]),
-        (strained.strain - truth.strain("green-lagrange"), strained.sigma.astype(np.float64) ** 2),
-    )
-    strata = _strata(truth, made.get("phase"))
-    for quantity, (error, variance), field in (
-        ("shape", of_shape, surface),
-        ("displacement", of_displacement, displacement),
-        ("strain", of_strain, strained),
-    ):
-        part = 0.0 if field.sigma_calibration is None else field.sigma_calibration.astype(np.float64)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            score = error / np.sqrt(variance + np.square(part))
-        valid = (field.reason == 0) & np.isfinite(score).all(axis=0)
-        for stratum, where in strata.items():
-            of = stratum if maker.name == "reconstruct" else f"{maker.name}_{stratum}"
-            scores[quantity, of].append(score[:, valid & where].ravel())
+    assert shelf.campaign.scene is not None
+    strata = strata_of(truth, made.get("phase"), shelf.campaign.scene.camera.bits)
+    strata |= {"turned": strata["flat"]} if only == "turned" else {}
+    wanted = {name: where for name, where in strata.items() if only in ("", name)}
+    found = {"shape": _scores(surface, surface.position - truth.shape.xyz, surface.covariance[_DIAGONAL])}
+    if first:
+        moved: DisplacementField = shelf.records["correlate", last]["displacement"]
+        strained: StrainField = shelf.records["strain", last]["strain"]
+        found["displacement"] = _scores(
+            moved, moved.displacement - truth.displacement, moved.covariance[_DIAGONAL]
+        )
+        found["strain"] = _scores(
+            strained, strained.strain - truth.strain("green-lagrange"), strained.sigma.astype(np.float64) ** 2
+        )
+    prefix = "" if maker.name == "reconstruct" else f"{maker.name}_"
+    for quantity, score in found.items():
+        valid = np.isfinite(score).all(axis=0)
+        for stratum, where in wanted.items():
+            scores[quantity, prefix + stratum].append(score[:, valid & where].ravel())
+    if only or maker.name != "reconstruct":
+        return
+    scores["shape", "mean"].append(mean_scores(surface, truth))
+    if first:
+        labels = shelf.records["correlate", last]["regions"].labels
+        scores["strain", "gauge"].append(gauge_scores(moved, surface, labels, truth))
+        for before in subjects[1:-1]:
+            earlier: DisplacementField = shelf.records["correlate", before]["displacement"]
+            score = _between(earlier, moved, truth.displacement - shelf.truth(before).displacement)
+            valid = np.isfinite(score).all(axis=0)
+            scores["displacement", "difference"].append(score[:, valid & strata["flat"]].ravel())
 
 
-def _strata(truth: Truth, phase: PhaseMaps | None) -> dict[str, Mask]:
-    """Return where what is measured belongs to; a pixel may belong to several, and to an edge alone."""
-    shape = truth.shape
-    expected = shape.seen & shape.lit & truth.lit_and_seen_at_end
-    square = 2 * _NEAR_PX + 1
-    one_patch = ndimage.minimum_filter(shape.region, square) == ndimage.maximum_filter(shape.region, square)
-    inner = ndimage.minimum_filter(expected, square) & one_patch
-    turned = _turned(shape.normal)
-    folded = ndimage.maximum_filter(np.where(np.isfinite(turned), turned, 0.0), square) > _FOLD
-    smooth = inner & ~folded
-    found = {
-        "flat": smooth & (turned <= _CURVED),
-        "curved": smooth & (turned > _CURVED),
-        "fold": inner & folded,
-        "edge": expected & ~inner,
-    }
-    if phase is not None:
-        modulation = phase.modulation.min(axis=0)
-        found["dim"] = smooth & (modulation < _DIM * np.nanmedian(modulation[expected]))
-    return found
+def _scores(
+    field: Surface | DisplacementField | StrainField, error: Floats, variance: NDArray[np.floating]
+) -> Floats:
+    """Return errors in deviations, calibration included, (3, rows, columns); NaN where nothing is valid."""
+    part = 0.0 if field.sigma_calibration is None else field.sigma_calibration.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = error / np.sqrt(variance + np.square(part))
+    return np.where(field.reason == 0, score, np.nan)
 
 
-def _turned(normal: Floats) -> Floats:
-    """Return by how much the normal (3, rows, columns) turns from a pixel to its neighbours, in rad."""
-    steps = [np.linalg.norm(np.gradient(normal, axis=axis), axis=0) for axis in (1, 2)]
-    return np.asarray(np.maximum(*steps))
+def _between(first: DisplacementField, second: DisplacementField, moved: Floats) -> Floats:
+    """Return errors of a difference of two displacements of one reference, in deviations.
+
+    Half of the noise of each is the reference's, which cancels; of their biases nothing is known to.
+    """
+    assert first.bias is not None
+    assert second.bias is not None
+    own = first.covariance[_DIAGONAL] + second.covariance[_DIAGONAL].astype(np.float64)
+    variance = 0.5 * own + 0.5 * (first.bias[_DIAGONAL] + second.bias[_DIAGONAL])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((second.displacement - first.displacement - moved) / np.sqrt(variance))
 
 
 def _judge_pair(pair: TruthPair, threads: int, scores: Scores) -> None:
@@ -194,11 +248,11 @@ def _judge_pair(pair: TruthPair, threads: int, scores: Scores) -> None:
     score = (found.image_displacement - pair.displacement) / sigma
     valid = (found.reason == 0) & np.isfinite(score).all(axis=0)
     inner = np.zeros_like(valid)
-    inner[2 * _NEAR_PX : -2 * _NEAR_PX, 2 * _NEAR_PX : -2 * _NEAR_PX] = True
+    inner[2 * NEAR_PX : -2 * NEAR_PX, 2 * NEAR_PX : -2 * NEAR_PX] = True
     near_crack = np.zeros_like(valid)
     if pair.slip is not None:
         middle = valid.shape[1] // 2
-        near_crack[:, middle - 2 * _NEAR_PX : middle + 2 * _NEAR_PX] = True
+        near_crack[:, middle - 2 * NEAR_PX : middle + 2 * NEAR_PX] = True
     of = {"clean": "alone_flat", "sine": "alone_steep", "crack": "alone_flat"}[pair.group]
     for stratum, where in (
         (of, inner & ~near_crack),

@@ -147,6 +147,7 @@ def field_in_space(
         radius,
         found.bias.astype(np.float32),
         **_told_resolution(resolution, before, reason, radius),
+        **_told_subsets(parameters),
     )
 
 
@@ -164,11 +165,9 @@ def resolution_in_image(grid: GridMatches, before: TexturedState, parameters: Co
     """
     surface = before.surface
     averaged = surface.has_depth and not surface.subset_radius_px
-    # A peak of the cross-correlation is a shift.
-    order = 0 if parameters.method == "fourier-newton" else parameters.shape_order
     found = resolution_of_matches(
         parameters.subset_radius_px,
-        cast(ShapeOrder, order),
+        cast(ShapeOrder, _order(parameters)),
         grid.matches.warp.shape[1],
         parameters.spacing_px,
         parameters.averaging_radius_px if averaged else 0.0,
@@ -188,6 +187,16 @@ def _told_resolution(
         "resolution_px": float(np.median(resolution[valid])),
         "resolution": np.where(valid, on_surface, np.nan).astype(np.float32),
     }
+
+
+def _order(parameters: CorrelateParameters) -> int:
+    """Return the order of the deformation that is matched: a peak of the cross-correlation is a shift."""
+    return 0 if parameters.method == "fourier-newton" else parameters.shape_order
+
+
+def _told_subsets(parameters: CorrelateParameters) -> dict[str, Any]:
+    """Return what a record says of the subsets that were matched in time, which adaptive ones begin with."""
+    return {"match_radius_px": parameters.subset_radius_px, "match_order": _order(parameters)}
 
 
 def _shape(state: TexturedState) -> StateShape:
@@ -233,6 +242,7 @@ def field_in_plane(
         parameters.subset_radius_px,
         biased.astype(np.float32),
         **_told_resolution(resolution, before, reason, parameters.subset_radius_px),
+        **_told_subsets(parameters),
     )
 
 

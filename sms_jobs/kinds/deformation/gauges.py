@@ -12,6 +12,7 @@ from pydantic import Field, field_validator
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge, gauge_from
 from sms_jobs.kinds.calibration_factors import States, gauge_sigma, states_of
+from sms_jobs.kinds.gauge_errors import errors_of_rectangle
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -26,12 +27,11 @@ from sms_jobs.kinds.kind import (
 from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, GAUGES, REGIONS, SURFACE
-from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
+from sms_jobs.kinds.surface_ports import surface_port
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, GaugeValue, read_gauge
-from sms_jobs.metrology.deformation.strain.strain_errors import shared_errors
 from sms_jobs.metrology.geometry.camera import Pose
-from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.metrology.geometry.transforms import turn_covariance
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, Regions, StrainMeasure, Surface
@@ -128,17 +128,9 @@ def read_gauges(
     position = np.einsum("ij,jrc->irc", turn, position - np.array(frame.translation)[:, None, None])
     displacement = np.einsum("ij,jrc->irc", turn, in_space(moved.displacement))
     green = parameters.measure == "green-lagrange"
-    own, at_rest = covariance_in_space(moved.covariance), independent_covariance(surface)
     found, parts = [], []
     for number, place in enumerate(places, start=1):
-        errors = shared_errors(
-            own,
-            at_rest,
-            bias_in_space(moved),
-            averaging_radius_px=moved.averaging_radius_px,
-            subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=float(np.sqrt(place.length * place.width / np.pi)) / pitch,
-        )
+        errors = errors_of_rectangle(moved, surface, place.length / pitch, place.width / pitch)
         found.append(
             read_gauge(
                 place,
@@ -199,7 +191,7 @@ def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParam
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=4,
+    version=5,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import states_of, strain_sigma
+from sms_jobs.kinds.gauge_errors import errors_of_gauge, radius_in_time
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -28,7 +29,7 @@ from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.port_names import AT_REST, MOVED
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, REGIONS, STRAIN, SURFACE
 from sms_jobs.kinds.resolution import extent_of_pixels, resolution_statistics
-from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, surface_port
+from sms_jobs.kinds.surface_ports import surface_port
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.fields.spatial_resolution import (
@@ -41,9 +42,9 @@ from sms_jobs.metrology.deformation.strain.square import (
     square_window,
     strain_over_squares,
 )
-from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, Window, shared_errors
+from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
 from sms_jobs.metrology.deformation.strain.tangent_plane import SurfaceStrain, surface_strain
-from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, StrainField, StrainMeasure, Surface
 from sms_jobs.records.reasons import Reason
@@ -178,23 +179,10 @@ def _strained(
 ) -> SurfaceStrain:
     """Return the strain over a gauge."""
     position, displacement = in_space(surface.position), in_space(moved.displacement)
-    covariance, of_cloud = covariance_in_space(moved.covariance), independent_covariance(surface)
-    bias = bias_in_space(moved)
-
-    def errors(disc_radius_px: float, window: Window | None = None) -> SharedErrors:
-        return shared_errors(
-            covariance,
-            of_cloud,
-            bias,
-            averaging_radius_px=moved.averaging_radius_px,
-            subset_radius_px=moved.subset_radius_px,
-            disc_radius_px=disc_radius_px,
-            window=window,
-        )
 
     def errors_of(side: int) -> SharedErrors:
-        window = square_window(side, moved.averaging_radius_px, moved.subset_radius_px)
-        return errors(radius_of_equal_spread(side), window)
+        window = square_window(side, moved.averaging_radius_px, radius_in_time(moved))
+        return errors_of_gauge(moved, surface, radius_of_equal_spread(side), window)
 
     green = parameters.measure == "green-lagrange"
     fold = float(np.radians(parameters.fold_angle_deg))
@@ -213,7 +201,7 @@ def _strained(
     return surface_strain(
         position,
         displacement,
-        errors(gauge.disc_radius_px),
+        errors_of_gauge(moved, surface, gauge.disc_radius_px),
         labels,
         gauge_length=gauge.length,
         x_axis=inputs.context,
@@ -306,7 +294,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=10,
+    version=11,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     inputs=(_MOVED, *_REFERENCE.all),

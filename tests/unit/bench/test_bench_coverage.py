@@ -29,7 +29,8 @@ def test_drawn_calibrations_are_off_in_what_they_do_not_know_alone(rng: np.rando
 def test_strata_of_a_plate_and_of_a_camera_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """128 px of a plate and one clean pair: 0.9545 is what normal errors have; a few per cent are what
     errors that go together over a subset make of some hundred independent ones."""
-    monkeypatch.setattr(coverage, "_campaigns", lambda quick: iter([small_plate("plate")]))
+    scene = coverage._Scene(coverage._fresh(small_plate("plate"), 3))
+    monkeypatch.setattr(coverage, "_scenes", lambda quick, seed: iter([scene]))
     monkeypatch.setattr(coverage, "pairs", lambda seed, quick: islice(pairs(seed), 1))
     run = Run(quick=True, say=lambda text: None, threads=1, folder=tmp_path)
     found = list(coverage.measure(run))

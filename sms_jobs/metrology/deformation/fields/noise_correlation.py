@@ -1,4 +1,4 @@
-"""How much of an image's noise blended matches of two kinds of subsets have in common."""
+"""What blended matches make of the noise of single pixels, and what two kinds of them have in common."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _terms(half: int, order: int) -> Floats:
 
 
 @cache
-def _weights(subsets: Subsets) -> tuple[Floats, float]:
+def blended_weights(subsets: Subsets) -> tuple[Floats, float]:
     """Return what pixels (side, side) weigh in a blended match, and the variance that is stated of it.
 
     The latter in units of what a single pixel would have.
@@ -54,7 +54,7 @@ def noise_correlation(first: Subsets, second: Subsets) -> float:
     the correlation is sum w v over the deviations that `blend_matches` states. How far apart the matches of a
     grid are changes these, but not the sum.
     """
-    (w, of_first), (v, of_second) = _weights(first), _weights(second)
+    (w, of_first), (v, of_second) = blended_weights(first), blended_weights(second)
     small, large = sorted((w, v), key=len)
     off = (len(large) - len(small)) // 2
     inner = large[off : off + len(small), off : off + len(small)]

@@ -42,30 +42,37 @@ def radius_of_equal_spread(side: float) -> float:
 
 
 def square_window(side: int, averaging_radius_px: float, subset_radius_px: float) -> Window:
-    """Return what a square of `side` x `side` pixels sees of filtered errors.
+    """Return what a square of `side` x `side` pixels sees of filtered errors, as `rectangle_window` does."""
+    return rectangle_window(side, side, averaging_radius_px, subset_radius_px)
+
+
+def rectangle_window(
+    length: float, width: float, averaging_radius_px: float, subset_radius_px: float
+) -> Window:
+    """Return what a rectangle of pixels, of which slopes along its length are taken, sees of filtered errors.
 
     Parameters
     ----------
-    side
-        Odd, in px.
+    length, width
+        In px, to the nearest odd number.
     averaging_radius_px, subset_radius_px
         Distances over which errors of shape and of match go together; 0 for none.
 
     Notes
     -----
-    Exact sums over the pixels: the square's weights for a slope, through the weights (1 - d^2 / radius^2)^2
+    Exact sums over the pixels: its weights for a slope, through the weights (1 - d^2 / radius^2)^2
     of `average_in_region`, and through the subsets of first order that `blend_matches` spreads over pixels.
     """
     from scipy import signal
 
-    half = side // 2
-    weights = np.broadcast_to(np.arange(-half, half + 1.0), (side, side))
+    half, across = max(round((length - 1.0) / 2.0), 1), max(round((width - 1.0) / 2.0), 0)
+    weights = np.broadcast_to(np.arange(-half, half + 1.0), (2 * across + 1, 2 * half + 1))
 
     def seen(filtered: Floats) -> float:
         return float(np.sum(signal.fftconvolve(weights, filtered) ** 2) / np.sum(weights**2))
 
     return Window(
-        float(side**2), seen(_averaging(averaging_radius_px)), seen(matches_to_pixels(subset_radius_px))
+        float(weights.size), seen(_averaging(averaging_radius_px)), seen(matches_to_pixels(subset_radius_px))
     )
 
 
@@ -265,21 +272,17 @@ def strain_over_squares(
     cells = cell_means(xyz, displacement, errors.own, used, max(1, side // _CELLS))
     edges = edges_of(labels, cells, axis, errors)
 
-    def fitted(own: SharedErrors, side: int, step: int) -> tuple[Floats, Floats, Floats]:
-        """Return strain over squares of a side and its variance by noise, of every `step`-th pixel.
-
-        The variance as if far from edges, and with what these add.
-        """
+    def fitted(own: SharedErrors, side: int, step: int) -> tuple[Floats, Floats]:
+        """Return strain over squares of a side and its variance by noise, of every `step`-th pixel."""
         found = _strained(
             xyz, displacement, own, used, cells, side, axis, green_lagrange, least_cosine, threads
         )
         strain, by_own, by_match = (
             np.ascontiguousarray(each[:, step // 2 :: step, step // 2 :: step]) for each in found
         )
-        at_edges = noise_at_edges(by_own, by_match, edges.sampled(step), own, 1.0, threads)
-        return strain, by_own + by_match, at_edges
+        return strain, noise_at_edges(by_own, by_match, edges.sampled(step), own, 1.0, threads)
 
-    strain, variance, at_edges = fitted(errors, side, 1)
+    strain, variance = fitted(errors, side, 1)
     radius = side / np.sqrt(2.0)
     middle, least = (pixel_pitch(xyz, used, quantile) for quantile in (0.5, 0.01))
     reach = radius * middle / least
@@ -287,8 +290,7 @@ def strain_over_squares(
     shorter = []
     for part in SHORTER:
         short = max(3, 2 * int(part * side / 2.0) + 1)
-        own, _, noise = fitted(errors_of(short), short, step)
-        shorter.append((own, noise))
+        shorter.append(fitted(errors_of(short), short, step))
     first = step // 2
     at = (..., np.s_[first::step], np.s_[first::step])
     row, column = (np.arange(first, size, step) // cells.side for size in labels.shape)
@@ -299,7 +301,7 @@ def strain_over_squares(
         np.ascontiguousarray(cells.normal[:, row[:, None], column]),
         np.ascontiguousarray(used[at]),
         np.ascontiguousarray(strain[at]),
-        np.ascontiguousarray(at_edges[at]),
+        np.ascontiguousarray(variance[at]),
         tuple(shorter),
     )
     steps = int(np.ceil(reach / step))

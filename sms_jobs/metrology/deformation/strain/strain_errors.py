@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.deformation.fields.noise_correlation import blended_weights
+from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.geometry.transforms import pack, unpack
 
-_OF_STRAIN = 0.5  # part of a bias that has the shape of a strain over a gauge disc
+_OF_STRAIN = 0.25
+"""Part of a bias that may have the shape of a strain over a gauge disc, where no subsets limit it: half of a
+wave of the worst length, and half of that in the mean over its directions."""
+_WIDEST = 24.0  # of a disc's radius over that of subsets: beyond, all but 4 % of what noise does is seen
+_DIGITS = 3  # of the radii for which it is remembered
 
 
 @dataclass(frozen=True)
@@ -33,6 +41,22 @@ class Window:
 
 
 @dataclass(frozen=True)
+class MatchedShape:
+    """Positions that come from matches between cameras, and are averages over subsets themselves.
+
+    Attributes
+    ----------
+    covariance
+        (6, rows, columns), of the reference positions.
+    subsets
+        That have been matched.
+    """
+
+    covariance: NDArray[np.floating]
+    subsets: Subsets
+
+
+@dataclass(frozen=True)
 class SharedErrors:
     """Errors of displacement that go together over neighbouring pixels, as a gauge disc sees them.
 
@@ -42,11 +66,13 @@ class SharedErrors:
         (6, rows, columns), the covariance by errors of shape and by bias that, independent from pixel to
         pixel, would disturb strain as the true one does; NaN where there is no displacement.
     match
-        (6,), the same by errors of the match, everywhere alike.
+        (6,), the same by errors of matches, everywhere alike.
     averaging_radius_px, subset_radius_px
         Distances over which errors of shape and of match go together; 0 for none.
     disc_radius_px
         Of the gauge disc, or of the disc whose points scatter as those of the gauge.
+    matched
+        Subsets, and which part of `match` is theirs.
     """
 
     own: Floats
@@ -54,6 +80,7 @@ class SharedErrors:
     averaging_radius_px: float
     subset_radius_px: float
     disc_radius_px: float
+    matched: tuple[tuple[Subsets, float], ...] = ()
 
     @property
     def every(self) -> Floats:
@@ -63,15 +90,22 @@ class SharedErrors:
     def seen_by_part(self, part: float) -> tuple[float, float]:
         """Return what a disc of a part of the radius sees of `own` and of `match`, over what this one does.
 
-        Where there is no error of shape all of `own` is bias, which counts by the disc's area.
+        Where there is no error of shape all of `own` is bias, which is seen as a match is.
         """
-        shape, match = (
-            radius / self.disc_radius_px for radius in (self.averaging_radius_px, self.subset_radius_px)
-        )
-        if part == 1.0 or shape == match == 0.0:
+        if part == 1.0 or (self.averaging_radius_px == 0.0 and not self.matched):
             return 1.0, 1.0
-        own = seen_of_shape(shape / part) / seen_of_shape(shape) if shape > 0.0 else part**2
-        return own, seen_of_match(match / part) / seen_of_match(match)
+        match = 1.0
+        if self.matched:
+            match = sum(
+                share
+                * seen_of_match(one, part * self.disc_radius_px)
+                / seen_of_match(one, self.disc_radius_px)
+                for one, share in self.matched
+            )
+        if self.averaging_radius_px == 0.0:
+            return match, match
+        shape = self.averaging_radius_px / self.disc_radius_px
+        return seen_of_shape(shape / part) / seen_of_shape(shape), match
 
 
 def shared_errors(
@@ -82,6 +116,8 @@ def shared_errors(
     averaging_radius_px: float,
     subset_radius_px: float,
     disc_radius_px: float,
+    order: ShapeOrder = 1,
+    shape: MatchedShape | None = None,
     window: Window | None = None,
 ) -> SharedErrors:
     """Return the errors of a displacement as they disturb strain over a gauge disc.
@@ -89,65 +125,109 @@ def shared_errors(
     Parameters
     ----------
     covariance, cloud_covariance
-        (6, rows, columns), of the displacement and of the reference positions, in mm^2.
+        (6, rows, columns), of the displacement and of what of the reference positions is independent from
+        pixel to pixel, in mm^2.
     bias
         (6, rows, columns), the part of the displacement's covariance that is no noise; None for none.
     averaging_radius_px, subset_radius_px
         Distances over which the displacement's errors of shape and of match go together; 0 for none.
     disc_radius_px
         Of the gauge disc, or of the disc whose points scatter as those of the gauge.
+    order
+        Of the deformation of the subsets of the match.
+    shape
+        Of positions from matches between cameras; None of others.
     window
         What the gauge sees, if it is no disc.
 
     Notes
     -----
     Each part is an independent error, filtered. A disc much wider than the filter sees that error in full;
-    one that is not sees 1 / (1 + a q + b q^2)^2 of it, q being the filter's radius over the disc's. The
-    factors a and b fit the exact quadrature over both filters to 10 % for q below 1.5. The part of shape is
-    twice the cloud's covariance before averaging, which divides it by 5 pi radius^2 / 9 and weighs pixels by
-    their inverse variance, so that what counts is their harmonic mean; the rest is the match's, of which the
-    median is taken, and blending makes it 1.39 times that of one subset. Bias goes together over as much as
-    the whole disc: n pixels disturb the strain as n times its covariance would, independent from pixel to
-    pixel, if it has the shape that strain has, and half of that is counted.
+    one that is not sees 1 / (1 + a q + b q^2)^2 of errors of shape, q being the filter's radius over the
+    disc's, where a and b fit the exact quadrature over both filters to 10 % for q below 1.5, and of blended
+    matches what their own weights tell (`seen_of_match`). The part of shape is twice the cloud's covariance
+    before averaging, which divides it by 5 pi radius^2 / 9 and weighs pixels by their inverse variance, so
+    that what counts is their harmonic mean; the rest is of matches, and its median is taken. Of that, twice
+    the covariance of a matched shape is seen through the shape's subsets, and the remainder through those in
+    time: the two have an image's noise in common, which is seen between both.
+
+    Bias is seen as the match is. It is what the two images do not share within a subset, or what a subset
+    does not follow. The former is independent where subsets do not overlap. The latter has waves of up to a
+    few subsets: a longer one is followed, and a gauge that is as long itself leaves out far more of it, which
+    `gauge_bias` tells. Where no subsets are known it may have the worst of all lengths.
     """
+    subsets = Subsets(int(subset_radius_px), order) if subset_radius_px > 0.0 else None
     lengths = (averaging_radius_px, subset_radius_px, disc_radius_px)
-    if window is None:
-        window = Window(
-            np.pi * disc_radius_px**2,
-            seen_of_shape(averaging_radius_px / disc_radius_px),
-            seen_of_match(subset_radius_px / disc_radius_px),
-        )
+
+    def seen(one: Subsets | None) -> float:
+        """Return what the gauge sees of matches."""
+        if one is None:
+            return 1.0
+        return seen_of_match(one, disc_radius_px) if window is None else window.of_match / _stated(one)
+
+    noise: Floats = (covariance if bias is None else covariance - bias).astype(np.float64)
+    biased: Floats = np.zeros(())
     if bias is not None:
-        noise = shared_errors(
-            covariance - bias,
-            cloud_covariance,
-            averaging_radius_px=averaging_radius_px,
-            subset_radius_px=subset_radius_px,
-            disc_radius_px=disc_radius_px,
-            window=window,
-        )
-        own = noise.own + _OF_STRAIN * window.pixels * bias
-        return SharedErrors(own, noise.match, *lengths)
-    if averaging_radius_px == 0.0 and subset_radius_px == 0.0:
-        return SharedErrors(np.asarray(covariance, dtype=np.float64), np.zeros(6), *lengths)
-    shape = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)
-    averaged = max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
-    excess = covariance - shape / averaged
-    finite = np.isfinite(excess).all(axis=0)
-    match = _positive(np.median(excess[:, finite], axis=1)) if finite.any() else np.zeros(6)
-    match *= (2.0 * subset_radius_px + 1.0) ** 2 / 1.39
-    own = np.where(np.isfinite(covariance), window.of_shape * shape, np.nan)
-    return SharedErrors(own, window.of_match * match, *lengths)
+        pixels = np.pi * disc_radius_px**2 if window is None else window.pixels
+        biased = np.asarray((_OF_STRAIN * pixels if subsets is None else seen(subsets)) * bias)
+    if averaging_radius_px == 0.0 and subsets is None:
+        return SharedErrors(noise + biased, np.zeros(6), *lengths)
+    cloud = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)
+    of_cloud = seen_of_shape(averaging_radius_px / disc_radius_px) if window is None else window.of_shape
+    excess = noise - cloud / max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
+    matched: list[tuple[Subsets | None, Floats]] = []
+    if shape is not None:
+        between = 2.0 * np.asarray(shape.covariance, dtype=np.float64)
+        matched.append((shape.subsets, seen(shape.subsets) * _median(between)))
+        excess -= between
+    matched.append((subsets, seen(subsets) * _median(excess)))
+    # What both have in common may make the remainder negative; their sum is not.
+    match = _positive(sum((part for _, part in matched), start=np.zeros(6)))
+    own = np.where(np.isfinite(noise), of_cloud * cloud, np.nan) + biased
+    return SharedErrors(own, match, *lengths, _shares(matched))
+
+
+def _shares(matched: list[tuple[Subsets | None, Floats]]) -> tuple[tuple[Subsets, float], ...]:
+    """Return which part of the sum of covariances (6,) each is, by their traces."""
+    sizes = [
+        (subsets, max(float(part[[0, 3, 5]].sum()), 0.0)) for subsets, part in matched if subsets is not None
+    ]
+    total = sum(size for _, size in sizes)
+    if total > 0.0:
+        return tuple((subsets, size / total) for subsets, size in sizes)
+    return tuple((subsets, 1.0 / len(sizes)) for subsets, _ in sizes)
+
+
+def _stated(subsets: Subsets) -> float:
+    """Return the variance that is stated of blended matches, for pixels with a variance of 1."""
+    return blended_weights(subsets)[1]
+
+
+def seen_of_match(subsets: Subsets, disc_radius_px: float) -> float:
+    """Return the variance of slopes over a disc by errors of blended matches, over that by independent ones.
+
+    Both with the variance that is stated of each pixel. For a disc that is far wider it is the number of
+    pixels that a match averages over.
+    """
+    radius = min(max(disc_radius_px, 1.0), _WIDEST * subsets.radius)
+    return _seen_of_match(subsets, float(f"{radius:.{_DIGITS}g}"))
+
+
+@lru_cache(maxsize=256)
+def _seen_of_match(subsets: Subsets, radius: float) -> float:
+    """Do the work of `seen_of_match`: the exact sum over all waves."""
+    weights, stated = blended_weights(subsets)
+    half = int(radius)
+    y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    slope = np.where(x**2 + y**2 <= radius**2, x, 0.0)
+    side = fft.next_fast_len(len(slope) + len(weights), real=True)
+    filtered = fft.irfft2(fft.rfft2(weights, (side, side)) * fft.rfft2(slope, (side, side)), (side, side))
+    return float(np.sum(filtered**2) / np.sum(slope**2)) / stated
 
 
 def seen_of_shape(q: float) -> float:
     """Return what a disc sees of errors that were averaged over a radius of `q` of its own."""
     return float((1.0 + 0.40 * q + 0.41 * q**2) ** -2)
-
-
-def seen_of_match(q: float) -> float:
-    """Return what a disc sees of errors that go together over subsets with a radius of `q` of its own."""
-    return float((1.0 + 0.25 * q + 1.27 * q**2) ** -2)
 
 
 def _harmonic_mean(covariance: Floats, radius: float) -> Floats:
@@ -161,6 +241,12 @@ def _harmonic_mean(covariance: Floats, radius: float) -> Floats:
     mean = ndimage.gaussian_filter(inverse, width) / np.where(share > 0.0, share, 1.0)
     factor = np.where(valid, inverse / np.where(mean > 0.0, mean, 1.0), 1.0)
     return np.asarray(covariance * factor)
+
+
+def _median(covariance: Floats) -> Floats:
+    """Return the median of covariances (6, rows, columns), 0 where none is known."""
+    finite = np.isfinite(covariance).all(axis=0)
+    return np.median(covariance[:, finite], axis=1) if finite.any() else np.zeros(6)
 
 
 def _positive(packed: Floats) -> Floats:

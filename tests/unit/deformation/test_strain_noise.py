@@ -1,0 +1,118 @@
+"""Strain by noise that has passed subsets scatters as is stated, of discs and of gauges' rectangles."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.deformation.fields.noise_correlation import blended_weights
+from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
+from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, read_gauge
+from sms_jobs.metrology.deformation.strain.square import rectangle_window
+from sms_jobs.metrology.deformation.strain.strain_errors import MatchedShape, seen_of_match, shared_errors
+from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
+
+SIZE, MARGIN, TRIALS = 110, 28, 60
+ONE = np.ones((SIZE, SIZE), np.int32)
+INNER = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+def flat() -> Floats:
+    row, column = np.mgrid[0:SIZE, 0:SIZE].astype(np.float64)
+    return np.stack([column, -row, np.zeros_like(row)])
+
+
+def filtered(subsets: Subsets, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return a displacement in x and y by noise through subsets, and the covariance that is stated of it."""
+    weights, stated = blended_weights(subsets)
+    size = SIZE + len(weights) - 1
+    moved = np.zeros((3, SIZE, SIZE))
+    for axis in (0, 1):
+        moved[axis] = signal.fftconvolve(rng.normal(size=(size, size)), weights, mode="valid")
+    covariance = np.zeros((6, SIZE, SIZE))
+    covariance[[0, 3]] = stated
+    return moved, covariance
+
+
+@pytest.mark.parametrize("of", ["match in time", "shape", "bias"])
+def test_noise_through_subsets_is_stated(rng: np.random.Generator, of: str) -> None:
+    """60 trials at some six independent places: 4 % of a deviation for each of three strains."""
+    in_time, between, disc = Subsets(6, 1), Subsets(8, 2), 9.0
+    subsets = between if of == "shape" else in_time
+    squares = []
+    for _ in range(TRIALS):
+        moved, covariance = filtered(subsets, rng)
+        errors = shared_errors(
+            covariance,
+            np.zeros_like(covariance),
+            covariance if of == "bias" else None,
+            averaging_radius_px=0.0,
+            subset_radius_px=in_time.radius,
+            disc_radius_px=disc,
+            shape=MatchedShape(0.5 * covariance, between) if of == "shape" else None,
+        )
+        found = surface_strain(flat(), moved, errors, ONE, gauge_length=2.0 * disc, green_lagrange=False)
+        squares.append((found.strain**2 / (found.sigma**2 - found.bias**2))[:, *INNER])
+    np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=(0, 2, 3))), 1.0, atol=0.1)
+
+
+@pytest.mark.parametrize("subsets", [Subsets(10, 1), Subsets(12, 2)])
+def test_wide_discs_see_as_many_pixels_as_a_match_is_made_of(subsets: Subsets) -> None:
+    """Of the slowest waves a match keeps all: what counts is a pixel's variance over the stated one."""
+    weights, stated = blended_weights(subsets)
+    assert np.sum(weights) == pytest.approx(1.0)
+    wide, wider = (seen_of_match(subsets, radius) for radius in (8.0 * subsets.radius, 1e4))
+    assert wide < wider < 1.0 / stated
+    assert wider * stated == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_bias_that_subsets_do_not_follow_is_stated_whichever_way_it_waves() -> None:
+    """Waves of one to four subsets, over discs of half to twice a subset: none is a silent error.
+
+    Of two strains along one wave the one along it has all of the error, so that the mean square is within
+    the bound of 8 that the worst length and direction have, 2.8 of one deviation.
+    """
+    for radius_px, disc, subsets_long in product((5, 10), (0.7, 1.5), (1.0, 2.0, 4.0)):
+        period, reach = subsets_long * (2 * radius_px + 1), disc * radius_px
+        xyz = flat()
+        wrong = np.zeros_like(xyz)
+        wrong[0] = np.sin(2.0 * np.pi * xyz[0] / period)
+        bias = np.zeros((6, SIZE, SIZE))
+        bias[0] = 0.5
+        errors = shared_errors(
+            bias,
+            np.zeros_like(bias),
+            bias,
+            averaging_radius_px=0.0,
+            subset_radius_px=radius_px,
+            disc_radius_px=reach,
+        )
+        found = surface_strain(xyz, wrong, errors, ONE, gauge_length=2.0 * reach, green_lagrange=False)
+        sigma = np.sqrt(found.sigma**2 - found.bias**2)[0][INNER]
+        assert np.sqrt(np.mean((found.strain[0][INNER] / sigma) ** 2)) < np.sqrt(8.0)
+
+
+def test_a_gauge_sees_noise_over_its_own_rectangle(rng: np.random.Generator) -> None:
+    """A long gauge is quieter than the disc of its area. 60 trials at some 8 places: 3 % of a deviation."""
+    subsets, length, width = Subsets(6, 1), 25.0, 9.0
+    window = rectangle_window(length, width, 0.0, subsets.radius)
+    scores = []
+    for _ in range(TRIALS):
+        moved, covariance = filtered(subsets, rng)
+        errors = shared_errors(
+            covariance,
+            np.zeros_like(covariance),
+            averaging_radius_px=0.0,
+            subset_radius_px=subsets.radius,
+            disc_radius_px=float(np.sqrt(length * width / np.pi)),
+            window=window,
+        )
+        for x, y, angle in product((30.0, 55.0, 80.0), (-30.0, -55.0, -80.0), (0.0, 0.8, np.pi / 2.0)):
+            place = GaugePlace(x, y, length, width, angle)
+            read = read_gauge(place, flat(), moved, errors.every, ONE, green_lagrange=False)
+            scores.append(read.strain / read.sigma)
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.12)
