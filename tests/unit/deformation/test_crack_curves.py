@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import special
 
 from sms_jobs.metrology.deformation.cracks.curves import course, estimated, walk, walk_of_slopes
+from sms_jobs.metrology.deformation.cracks.lines import _least_jump, _Tip
 
 AT = np.linspace(3.0, 393.0, 40).astype(np.float64)
 SIGMA = 0.03
@@ -88,3 +90,18 @@ def test_a_line_that_bends_is_followed() -> None:
     assert np.abs(goes.ahead - true)[[0, -1]].max() < 21.0 / 300.0
     assert np.abs(goes.ahead - true)[1:-1].max() < 0.01
     assert np.abs(np.linalg.norm(goes.place, axis=1) - 300.0)[1:-1].max() < 1.0
+
+
+def test_a_crack_is_led_on_as_all_of_it_goes(rng: np.random.Generator) -> None:
+    """Its last 10 px, where hardly anything has opened, may be 3 px astray: 250 px ahead that are 8 px."""
+    along = np.arange(256.0)
+    stray = np.where(along < 245.0, 0.0, 0.3 * (along - 245.0)) + rng.normal(0.0, 0.3, 256)
+    tip = _Tip.of(0, np.stack([along, 255.5 + stray], axis=1), 10)
+    assert abs(tip.ahead[1]) < 8.0 / 250.0
+
+
+def test_jumps_by_chance_are_one_in_a_thousand_images() -> None:
+    """As many subsets as fit in, u and v, in either sense."""
+    least = _least_jump(512 * 512, 10)
+    assert 4.0 * (512 / 21) ** 2 * special.ndtr(-least) == pytest.approx(1e-3, rel=1e-6)
+    assert _least_jump(100, 10) < least < _least_jump(4 * 512 * 512, 10)
