@@ -62,12 +62,15 @@ class JudgedCrack:
     ----------
     opening, sliding
         (n,), errors along it in px.
+    score
+        (n,), those of opening in units of their standard deviation.
     strain
         (m,), strain near it in units of its standard deviation, all components.
     """
 
     opening: NDArray[np.float64]
     sliding: NDArray[np.float64]
+    score: NDArray[np.float64]
     strain: NDArray[np.float64]
 
 
@@ -95,6 +98,7 @@ def measure(run: Run) -> Iterator[Found]:
         yield Figure(f"valid_{group}", sum(j.valid for j in some) / sum(j.seen for j in some), "1")
     yield Figure("reported_over_observed_clean", _stated_over_observed(of_group["clean"]), "1")
     yield Figure("crack_opening_rms_px", _rms([one.opening for one in cracked]), "px", 0.02, "at most")
+    yield Figure("crack_opening_z", _rms([one.score for one in cracked]), "1")
     yield Figure("crack_sliding_rms_px", _rms([one.sliding for one in cracked]), "px")
     yield Figure("crack_strain_z", _rms([one.strain for one in cracked]), "1", 1.3, "at most")
     yield from _finer_subsets(run, seed)
@@ -164,6 +168,7 @@ def judged_crack(slip: tuple[float, float], shelf: Shelf) -> JudgedCrack:
     return JudgedCrack(
         found.opening - slip[0],
         np.abs(found.sliding) - slip[1] if slip[1] else found.sliding,
+        (found.opening - slip[0]) / found.sigma_opening,
         (field.strain[:, near] / field.sigma[:, near]).ravel(),
     )
 

@@ -125,7 +125,7 @@ def _statistics(record: CrackOpenings) -> dict[str, float]:
 KIND = Kind(
     name="cracks",
     summary="opening and sliding along cracks, from stored displacement",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=CracksParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
+from sms_jobs.metrology.deformation.cracks.curves import course
 from sms_jobs.metrology.deformation.cracks.polylines import evened, way_along, ways
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.subsets import RIM
@@ -35,7 +37,7 @@ _LEAST_SIDES = 4  # of these, that say something
 _LEAST_VARIANCE = 1e-8  # px^2, below which no displacement is known
 _QUIET = 0.5  # of a ridge's height, that of its sides at most
 _LEAST_LENGTH = 4.0  # of a line, in subset radii
-_JUMP = 5.0  # standard errors of a jump that is none by chance
+_BY_CHANCE = 1e-3  # jumps that noise alone makes in an image, if every subset were looked at
 _LEAST_JUMP_PX = 0.05
 _LINKED = 3.0  # subset radii by which points of one line are apart at most
 _FACING = 0.7  # cosine of the angle between a line's direction and the way to one that goes on with it
@@ -112,9 +114,9 @@ def crack_lines(
         return none
     ridge = _ridge(height, least, radius)
     ridge = _with_quiet_sides(ridge, height, displacement, variance + verified.bias, known, labels, radius)
-    found = []
+    found, least_jump = [], _least_jump(int(np.count_nonzero(told)), radius)
     for line in _lines(ridge, radius):
-        if _jumps(line, radius):
+        if _jumps(line, radius, least_jump):
             settled = _settled(_even(line, radius), images, displacement, radius)
             if settled is not None:
                 found.append(settled)
@@ -288,13 +290,19 @@ def _left_over(f: Floats, g: Floats, usable: Mask, own: Mask, radius: int) -> Fl
     return np.where(usable, (f - mean(f * g) / gg * g) ** 2, 0.0)
 
 
-def _jumps(line: _Ridge, radius: int) -> bool:
-    """Tell whether the sides of a line lead to different displacements of it."""
+def _least_jump(pixels: int, radius: int) -> float:
+    """Return from how many standard errors on a jump is no chance, of u or v in either sense."""
+    subsets = max(pixels / (2.0 * radius + 1.0) ** 2, 1.0)
+    return NormalDist().inv_cdf(1.0 - _BY_CHANCE / (4.0 * subsets))
+
+
+def _jumps(line: _Ridge, radius: int, least: float) -> bool:
+    """Tell whether the sides of a line lead to displacements of it that differ by `least` standard errors."""
     length = float(way_along(line.place)[-1])
     # Errors go together over a subset.
     error = np.sqrt(line.variance.mean(axis=0) / max(length / (2.0 * radius), 1.0))
-    jump = np.abs(np.median(line.jump, axis=0))
-    return bool(np.any((jump > _JUMP * error) & (jump > _LEAST_JUMP_PX)))
+    jump = np.abs(line.jump.mean(axis=0))
+    return bool(np.any((jump > least * error) & (jump > _LEAST_JUMP_PX)))
 
 
 @dataclass(frozen=True)
@@ -308,10 +316,7 @@ class _Tip:
     @classmethod
     def of(cls, line: int, places: Floats, radius: int) -> _Tip:
         """Return the end at the last of the places of a line."""
-        near = places[np.linalg.norm(places - places[-1], axis=1) <= _LEAST_LENGTH * radius]
-        middle = near.mean(axis=0)
-        axis = np.linalg.svd(near - middle, full_matrices=False)[2][0]
-        return cls(line, places[-1], axis * (np.sign(axis @ (places[-1] - middle)) or 1.0))
+        return cls(line, places[-1], course(places, np.ones(1), radius).ahead[0])
 
     def faces(self, other: _Tip) -> bool:
         """Tell whether the way to another tip goes ahead from this one."""

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, sparse
 
-from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.deformation.cracks.polylines import evened, way_along, ways
+from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
+from sms_jobs.metrology.deformation.cracks.curves import course, estimated, walk
+from sms_jobs.metrology.deformation.cracks.polylines import way_along, ways
 from sms_jobs.metrology.geometry.transforms import unpack
 
 _LINKED = 2.0  # subset radii by which points of one crack are apart at most
 _LEAST_LENGTH = 4.0  # of a crack, in subset radii
-_REACH = 3.0  # subset radii of surface on either side that the displacement is taken from
-_LEAST_PART = 0.15  # of that disc that a side must have
-_OF_BENDING = 1 / 3  # a plane's error over the second difference: 1 / 4 of a parabola, more at a tip
-_BY_CHANCE = 2.0  # standard deviations of a second difference that say nothing
-_LEAST_FREEDOM = 0.5  # degrees that tell by how much a line strays
+_DEPTH = 3.0  # subset radii of surface on either side that the displacement is taken from
+_LEAST_PART = 0.5  # of such a strip that a side must have
+_LEAST_STRIPS = 4  # of a crack
+_LEAST_VARIANCE = 1e-30
 _BLENDED = 1.39  # variance of blended matches over that of one subset's
 
 
@@ -85,19 +85,21 @@ def crack_openings(field: Field, origin: Mapping[int, int], spacing_px: int) -> 
 
     Notes
     -----
-    A crack is where two pieces of one region are nearest to each other. At each point of its line a plane is
-    fitted to the displacement of either side within three subset radii, weighted by its inverse variance;
-    the jump is the difference of the two at the line. Errors go together over a subset, of bias as of noise.
-    What the jump bends by along the crack and the error of the line's direction are counted, too. Where a
-    side has less than a seventh of the disc, as where the crack runs into an edge, there is no point.
+    A crack is where two pieces of one region are nearest to each other, and goes where its places tell. In
+    strips of one subset radius along it and three across, planes are fitted to the displacement of either
+    side, weighted by its inverse variance; the jump is the difference of the two at the line. What strips
+    have found across, along and out of the surface is a walk each (`curves`), whose roughness they tell: an
+    opening that is even is told by all of them, and about a tip each tells its own. Errors go together over a
+    subset, of bias as of noise. The error of the line's direction is counted, too. Where a side has less than
+    half of a strip, as where the crack runs into an edge, there is no point.
     """
     radius = max(field.subset_radius_px, 1)
     for (right, left), place in _seams(field.labels, origin, radius):
         for way in ways(place, _LINKED * radius, _LEAST_LENGTH * radius):
-            line = _Line.through(place[way], radius, spacing_px)
+            line = _Line.through(place[way], radius)
             if np.median(_side_of(line, field.labels, left, radius)) < 0.0:
                 line = line.backwards()
-            found = _opening(field, (right, left), line, radius)
+            found = _opening(field, (right, left), line, spacing_px)
             if found is not None:
                 yield found
 
@@ -126,46 +128,46 @@ def _seams(
 
 @dataclass(frozen=True)
 class _Line:
-    """Points of a crack: places and unit normals (n, 2) as row and column, and errors (n,) of these in rad.
+    """Points of a crack: how far along it they are, places and unit normals (n, 2) as row and column.
 
-    The normals point to the left of the way along the line, the image seen with y upwards.
+    The normals point to the left of the way along the line, the image seen with y upwards; `error` (n,) is
+    theirs, in rad.
     """
 
+    way: Floats
     place: Floats
     normal: Floats
     error: Floats
 
     @classmethod
-    def through(cls, place: Floats, radius: int, spacing: int) -> _Line:
-        """Return points that are `spacing` apart on a line through scattered ones (n, 2) in their order.
-
-        A straight line is fitted about each, over three subset radii to either side. What lies within one
-        subset goes astray together, so that these are some three independent places, of which the fit itself
-        takes two. By how much they stray is taken to be what is usual of the line, or more where it bends.
-        """
-        way = way_along(place)
-        rough, smooth = evened(place, way, 1.0), evened(place, way, 0.5 * radius)
-        chosen = np.arange(min(spacing // 2, len(rough) - 1), len(rough), spacing)
-        normals, extents, lengths = [], [], []
-        for k in chosen:
-            near = rough[max(k - 3 * radius, 0) : k + 3 * radius + 1]
-            _, extent, axes = np.linalg.svd(near - near.mean(axis=0), full_matrices=False)
-            along = axes[0] * (np.sign(axes[0] @ (near[-1] - near[0])) or 1.0)
-            normals.append((-along[1], along[0]))
-            extents.append(extent**2)
-            lengths.append(len(near))
-        independent = np.array(lengths) / (2.0 * radius + 1.0)
-        along, across = (np.array(extents) / np.array(lengths)[:, None]).T
-        stray = across * independent / np.maximum(independent - 2.0, _LEAST_FREEDOM)
-        stray = np.maximum(stray, np.median(stray))
-        return cls(smooth[chosen], np.array(normals), np.sqrt(stray / (along * independent)))
+    def through(cls, place: Floats, radius: int) -> _Line:
+        """Return points some subset radius apart on a line through scattered ones (n, 2) in their order."""
+        count = max(round(way_along(place)[-1] / radius), _LEAST_STRIPS)
+        found = course(place, (np.arange(count) + 0.5) / count, radius)
+        normal = np.stack([-found.ahead[:, 1], found.ahead[:, 0]], axis=1)
+        return cls(found.way, found.place, normal, found.error)
 
     def backwards(self) -> _Line:
         """Return it the other way round."""
-        return _Line(self.place[::-1], -self.normal[::-1], self.error[::-1])
+        return _Line(
+            self.way[-1] - self.way[::-1] + self.way[0],
+            self.place[::-1],
+            -self.normal[::-1],
+            self.error[::-1],
+        )
 
     def where(self, chosen: Mask) -> _Line:
-        return _Line(self.place[chosen], self.normal[chosen], self.error[chosen])
+        return _Line(self.way[chosen], self.place[chosen], self.normal[chosen], self.error[chosen])
+
+    def at(self, way: Floats) -> _Line:
+        """Return the line at other points."""
+
+        def between(values: Floats) -> Floats:
+            return np.stack([np.interp(way, self.way, column) for column in values.T], axis=1)
+
+        return _Line(
+            way, between(self.place), _unit(between(self.normal)), np.interp(way, self.way, self.error)
+        )
 
 
 def _side_of(line: _Line, labels: Labels, left: int, radius: int) -> Floats:
@@ -178,46 +180,44 @@ def _side_of(line: _Line, labels: Labels, left: int, radius: int) -> Floats:
     return found
 
 
-def _opening(field: Field, sides: tuple[int, int], line: _Line, radius: int) -> CrackOpening | None:
-    """Return the opening at points of a crack; None where no point has enough on both sides."""
-    fits = [[_fitted(field, number, place, _REACH * radius) for number in sides] for place in line.place]
-    known = np.array([all(pair) for pair in fits], dtype=bool)
+def _opening(field: Field, sides: tuple[int, int], line: _Line, spacing_px: int) -> CrackOpening | None:
+    """Return the opening at points of a crack; None where too few strips have enough on both sides."""
+    radius = max(field.subset_radius_px, 1)
+    fits = [
+        [_fitted(field, number, place, normal, radius) for number in sides]
+        for place, normal in zip(line.place, line.normal, strict=True)
+    ]
     both = [(a, b) for a, b in fits if a and b]
-    if not both:
+    if len(both) < _LEAST_STRIPS:
         return None
-    line = line.where(known)
+    line = line.where(np.array([all(pair) for pair in fits], dtype=bool))
     normal = line.normal
     position, right, down = np.mean([(a.plane, b.plane) for a, b in both], axis=1).swapaxes(0, 1)
     along = _unit(down * normal[:, 1:] - right * normal[:, :1])
     across = right * normal[:, 1:] + down * normal[:, :1]
     across = _unit(across - np.sum(across * along, axis=1, keepdims=True) * along)
     axes = np.stack([across, along, -_unit(np.cross(right, down))])
-    jump = np.array([b.value - a.value for a, b in both])
-    covariance = np.array([a.covariance + b.covariance for a, b in both])
-    way = way_along(line.place)
-    covariance += _bending(jump, covariance, way, _REACH * radius)
-    opening = np.einsum("anj,nj->an", axes, jump)
-    variance = np.einsum("ani,nij,anj->an", axes, covariance, axes)
+    jump = np.einsum("anj,nj->an", axes, [b.value - a.value for a, b in both])
+    way = _points(line.way, spacing_px, radius)
+    if not len(way):
+        return None
+    opening, variance = np.empty((3, len(way))), np.empty((3, len(way)))
+    for k, axis in enumerate(axes):
+        behind, before = (_noise([pair[side] for pair in both], axis, field, radius) for side in (0, 1))
+        found, variance[k] = estimated(walk(line.way, way, float(radius)), jump[k][:, None], behind + before)
+        opening[k] = found[:, 0]
+    at = line.at(way)
     # A line that is askew takes of one for the other.
-    variance[:2] += (line.error * opening[1::-1]) ** 2
-    return CrackOpening(sides, line.place[:, ::-1], position, opening, np.sqrt(variance))
+    variance[:2] += (at.error * opening[1::-1]) ** 2
+    place = np.stack([np.interp(way, line.way, column) for column in position.T], axis=1)
+    return CrackOpening(sides, at.place[:, ::-1], place, opening, np.sqrt(variance))
 
 
-def _bending(jump: Floats, covariance: Floats, way: Floats, reach: float) -> Floats:
-    """Return the covariance (n, 3, 3) of what planes make of a jump (n, 3) that bends along the crack.
-
-    Its second difference over the reach of the planes is taken, as far as it is no chance, and the largest
-    about each point: as at a tip, ahead of which planes see an opening that is behind it.
-    """
-    ahead, behind = (
-        np.stack([np.interp(way + step, way, one) for one in jump.T], axis=1) for step in (reach, -reach)
-    )
-    second = ahead + behind - 2.0 * jump
-    chance = 6.0 * np.einsum("nii->ni", covariance)
-    sure = np.sqrt(np.maximum(second**2 - _BY_CHANCE**2 * chance, 0.0))
-    near = np.abs(way[:, None] - way) <= reach
-    most = np.max(np.where(near[:, :, None], sure, 0.0), axis=1)
-    return np.asarray(_OF_BENDING**2 * most[:, :, None] * np.eye(3) * most[:, None, :])
+def _points(way: Floats, spacing_px: int, radius: int) -> Floats:
+    """Return points along a crack that are `spacing_px` apart and not far from its strips at `way` (n,)."""
+    at = np.arange(way[0] + 0.5 * ((way[-1] - way[0]) % spacing_px), way[-1] + 1e-6, spacing_px)
+    nearest = np.min(np.abs(at[:, None] - way), axis=1)
+    return np.asarray(at[nearest <= radius])
 
 
 def _unit(vectors: Floats) -> Floats:
@@ -226,30 +226,72 @@ def _unit(vectors: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Planes through displacement and position: the displacement at the line, its covariance, the surface."""
+    """Planes through displacement and position: the displacement at the line, the surface, and the weights.
+
+    Attributes
+    ----------
+    value, plane
+        (3,) and (3, 3): the displacement, and the position with its slopes to the right and down.
+    row, column, weight
+        (n,), the pixels that the displacement is a sum over.
+    """
 
     value: Floats
-    covariance: Floats
     plane: Floats
+    row: Ints
+    column: Ints
+    weight: Floats
 
 
-def _fitted(field: Field, number: int, place: Floats, reach: float) -> _Fit | None:
-    """Fit planes to what one side has within reach of a place; None for too little."""
+def _fitted(field: Field, number: int, place: Floats, normal: Floats, radius: int) -> _Fit | None:
+    """Fit planes to what one side has in a strip across the line; None for too little."""
+    depth, half = _DEPTH * radius, 0.5 * radius
+    reach = np.hypot(depth, half)
     low = np.maximum(np.ceil(place - reach).astype(int), 0)
     high = np.floor(place + reach).astype(int) + 1
     box = np.s_[low[0] : high[0], low[1] : high[1]]
     labels = field.labels[box]
     row, column = np.mgrid[low[0] : low[0] + labels.shape[0], low[1] : low[1] + labels.shape[1]]
     down, right = row - place[0], column - place[1]
-    used = (labels == number) & (down**2 + right**2 <= reach**2)
+    used = (labels == number) & (np.abs(down * normal[0] + right * normal[1]) <= depth)
+    used &= np.abs(down * normal[1] - right * normal[0]) <= half
     used &= np.isfinite(field.displacement[:, *box]).all(axis=0)
-    if np.count_nonzero(used) < _LEAST_PART * np.pi * reach**2:
+    if np.count_nonzero(used) < _LEAST_PART * 2.0 * half * depth:
         return None
     basis = np.stack([np.ones(np.count_nonzero(used)), right[used], down[used]], axis=1)
     moved, where = (values[:, *box][:, used].T for values in (field.displacement, field.position))
-    total, bias = (values[:, *box][:, used].astype(np.float64) for values in (field.covariance, field.bias))
-    weight = 1.0 / np.maximum(total[0] + total[3] + total[5], 1e-30)
+    total = field.covariance[:, *box][:, used].astype(np.float64)
+    weight = 1.0 / np.maximum(total[0] + total[3] + total[5], _LEAST_VARIANCE)
     projector = np.linalg.solve((basis * weight[:, None]).T @ basis, (basis * weight[:, None]).T)
-    subset = (2.0 * field.subset_radius_px + 1.0) ** 2
-    share = projector[0] ** 2 @ ((total - bias) / _BLENDED + bias).T * subset
-    return _Fit(projector[0] @ moved, unpack(share), projector @ where)
+    return _Fit(projector[0] @ moved, projector @ where, row[used], column[used], projector[0])
+
+
+def _noise(fits: list[_Fit], axis: Floats, field: Field, radius: int) -> Floats:
+    """Return the covariance (n, n) of what strips have along an axis (n, 3) each.
+
+    Errors of pixels go together as subsets overlap: a square filter's products. Blending makes these smaller:
+    it adds to the variance, and not to that of a mean.
+    """
+    half = round(radius / np.sqrt(_BLENDED))
+    side = 2 * half + 1
+    kept = (2.0 * radius + 1.0) ** 2 / side**2
+    rows, columns = field.labels.shape[0] + 2 * half, field.labels.shape[1] + 2 * half
+    values, places = [], []
+    for fit, along in zip(fits, axis, strict=True):
+        total, bias = (
+            np.einsum("i,nij,j->n", along, unpack(one[:, fit.row, fit.column].astype(np.float64)), along)
+            for one in (field.covariance, field.bias)
+        )
+        sigma = np.sqrt(np.maximum(((total - bias) / _BLENDED + bias) * kept, _LEAST_VARIANCE))
+        top, left = fit.row.min() - half, fit.column.min() - half
+        patch = np.zeros((fit.row.max() + half + 1 - top, fit.column.max() + half + 1 - left))
+        patch[fit.row - top, fit.column - left] = fit.weight * sigma
+        patch = ndimage.uniform_filter(patch, side, mode="constant") * side
+        row, column = np.mgrid[top : top + patch.shape[0], left : left + patch.shape[1]] + half
+        values.append(patch.ravel())
+        places.append((row * columns + column).ravel())
+    ends = np.cumsum([0, *(len(one) for one in values)])
+    spread = sparse.csr_array(
+        (np.concatenate(values), np.concatenate(places), ends), shape=(len(fits), rows * columns)
+    )
+    return np.asarray((spread @ spread.T).toarray())
