@@ -173,8 +173,8 @@ def run(say: Callable[[str], None]) -> Outcome:
     remarks = {
         "conditions": f"two cameras of {COLUMNS} x {COLUMNS * 4 // 5} px at 20 degrees and 500 mm, 12 bit, "
         f"subsets of {2 * _RADIUS + 1} px, of second order between cameras and of first in time; errors "
-        "where all three have a value; outliers, off by more than six deviations and 0.05 px, and valid parts of "
-        "what both cameras see in both states, of each way's own points",
+        "where all three have a value; outliers, off by more than six deviations and 0.05 px, and valid "
+        "parts of what both cameras see in both states, of each way's own points",
         "each-state": "cameras matched with each other at every state, the default",
         "own-reference": "each camera's texture followed from its own first image",
         "shared-reference": "the partner's image matched with the reference camera's first image",
