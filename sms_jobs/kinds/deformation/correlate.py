@@ -142,7 +142,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
         field = field_in_space(image, before, after, reference, parameters, resolution, threads)
         if parameters.following != "each-state":
             progress(0.8, f"following points by {parameters.following}")
-            field = followed_field(inputs, _REFERENCE, field, image, before, parameters)
+            field = followed_field(inputs, _REFERENCE, field, images, image, before, parameters)
     else:
         field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
@@ -298,7 +298,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=19,
+    version=18,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

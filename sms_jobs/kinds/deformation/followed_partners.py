@@ -22,7 +22,7 @@ from sms_jobs.kinds.products import CALIBRATED, MEASURED, PLACES
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.deformation.fields.displacement import blended
+from sms_jobs.metrology.deformation.fields.displacement import blended, blending_reach
 from sms_jobs.metrology.deformation.fields.followed_points import (
     FollowedPlaces,
     FollowedPoints,
@@ -40,12 +40,13 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, is_sure
 from sms_jobs.metrology.deformation.matching.sampling import sample_nodes
-from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
+from sms_jobs.metrology.deformation.matching.shape_functions import WARP, ShapeOrder
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid, project
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import slopes_of_places
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
+from sms_jobs.metrology.images.masks import widened
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.reasons import Reason
@@ -66,6 +67,8 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 _AT_ONCE = 1 << 17
 """Points whose rays are met at a time, so that memory does not grow with the image."""
 _NOWHERE = -10.0
+_BENT = 2.0
+"""Variance of a partner's match over that of noise, from which on subsets of second order are tried, too."""
 
 
 def blur_of(parameters: CorrelateParameters) -> float:
@@ -115,14 +118,30 @@ def followed_field(
     inputs: Inputs,
     ports: StatePorts,
     field: DisplacementField,
+    images: PreparedImages,
     image: ImageDisplacement,
     before: TexturedState,
     parameters: CorrelateParameters,
 ) -> DisplacementField:
     """Return the displacement by where all cameras see each point, from that by the shapes of both states.
 
-    What has no value by the shapes gets none.
+    `image` is what the reference camera's `images` have said. What has no value by the shapes gets none.
     """
+    own = _bent_where_it_bends(
+        images,
+        _Spread(
+            field.image_displacement,
+            image.variance,
+            image.noise,
+            image.verified.bias,
+            image.verified.agrees,
+        ),
+        _pixels(field.reason.shape) + field.image_displacement,
+        Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order)),
+        parameters,
+        inputs.threads,
+    )
+    field = replace(field, image_displacement=own.moved)
     scene = _scene(inputs, ports, field, before)
     at_rest, later = inputs.about(PARTNERS_AT_REST), inputs.about(PARTNERS)
     ends = []
@@ -135,7 +154,14 @@ def followed_field(
         [np.isfinite(one.places.place[0]) for one in ends], axis=0
     )
     found = _met(
-        scene, field, image, before, [one.places for one in ends], wanted, parameters, inputs.threads
+        scene,
+        own,
+        image.correlation,
+        before,
+        [one.places for one in ends],
+        wanted,
+        parameters,
+        inputs.threads,
     )
     return _told(field, found, wanted, np.any([one.disagree for one in ends], axis=0))
 
@@ -190,31 +216,25 @@ def _by_own_texture(
         first, last, labels, (first_noise, last_noise), parameters.interpolation, blur=blur_of(parameters)
     )
     subsets = Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order))
-    matched = _matched(images, _pixels(shape) + shift, subsets, parameters, inputs.threads)
-    spread = blended(
-        trusted_points(matched, labels), in_space(pixels_as_plane(shape)), labels, subsets.radius,
-        inputs.threads,
-    )  # fmt: skip
-    moved = spread.value
-    verified = verify_displacement(
-        images, moved, subsets.radius, subsets.order, parameters.smoothing_px, inputs.threads
-    )
-    known = np.isfinite(moved[0]) & verified.agrees
+    expected = _pixels(shape) + shift
+    spread = _spread(images, expected, subsets, parameters, inputs.threads)
+    spread = _bent_where_it_bends(images, spread, expected, subsets, parameters, inputs.threads)
+    known = np.isfinite(spread.moved[0]) & spread.agrees
     x, y = (np.where(np.isfinite(axis), axis, _NOWHERE) for axis in start)
     there, _, slopes = interpolate_in_region(
-        moved, spread.variance[:0], np.where(known, labels, 0).astype(np.int32), x, y, inputs.threads
+        spread.moved, spread.variance[:0], np.where(known, labels, 0).astype(np.int32), x, y, inputs.threads
     )
     slopes[0, 0] += 1.0
     slopes[1, 1] += 1.0
     row, column = (
         np.clip(np.rint(axis), 0, size - 1).astype(int) for axis, size in zip((y, x), shape, strict=True)
     )
-    variance, noise, bias = (one[:, row, column] for one in (spread.variance, spread.noise, verified.bias))
+    variance, noise, bias = (one[:, row, column] for one in (spread.variance, spread.noise, spread.bias))
     there[:, ~np.isfinite(variance).all(axis=0)] = np.nan
     place = start + there
     return _End(
         FollowedPlaces(place, variance, noise, bias, slopes),
-        np.isfinite(start[0]) & ~verified.agrees[row, column],
+        np.isfinite(start[0]) & ~spread.agrees[row, column],
     )
 
 
@@ -263,24 +283,91 @@ def _by_first_image(
         blur=blur_of(parameters),
     )
     subsets = Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order))
-    matched = _matched(images, scene.expected[partner], subsets, parameters, inputs.threads)
-    refuse_misfits(matched.matches)
-    spread = blended(
-        trusted_points(matched, images.labels), in_space(pixels_as_plane(shape)), images.labels,
-        subsets.radius, inputs.threads,
-    )  # fmt: skip
-    moved = spread.value
-    moved[:, ~between_matches(matched, shape, parameters.spacing_px)] = np.nan
-    verified = verify_displacement(
-        images, moved, subsets.radius, subsets.order, parameters.smoothing_px, inputs.threads
-    )
-    off = (verified.bias > np.maximum(_OFF_SIGMAS**2 * spread.variance, _OFF_PX**2)).any(axis=0)
-    disagree = np.isfinite(moved[0]) & (off | ~verified.agrees)
-    place = np.where(disagree, np.nan, _pixels(shape) + moved)
+    spread = _spread(images, scene.expected[partner], subsets, parameters, inputs.threads, between=True)
+    off = (spread.bias > np.maximum(_OFF_SIGMAS**2 * spread.variance, _OFF_PX**2)).any(axis=0)
+    disagree = np.isfinite(spread.moved[0]) & (off | ~spread.agrees)
+    place = np.where(disagree, np.nan, _pixels(shape) + spread.moved)
     slopes = slopes_of_places(place, subsets.radius)
     slopes = np.where(np.isfinite(slopes), slopes, np.eye(2)[..., None, None])
     # What matches between cameras leave over is in their variance.
-    return _End(FollowedPlaces(place, spread.variance, spread.noise, 0.0 * verified.bias, slopes), disagree)
+    return _End(FollowedPlaces(place, spread.variance, spread.noise, 0.0 * spread.bias, slopes), disagree)
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Matches at every pixel of the image that they were made in, and what both images say of them.
+
+    Attributes
+    ----------
+    moved, variance, noise, bias
+        (2, rows, columns): in px, and in px^2.
+    agrees
+        (rows, columns), whether both images show the same thing.
+    """
+
+    moved: Floats
+    variance: Floats
+    noise: Floats
+    bias: Floats
+    agrees: Mask
+
+    def or_where_better(self, other: _Spread, where: Mask) -> _Spread:
+        """Return the other's values where they are wanted, known, and state a smaller error."""
+        mine, theirs = ((one.variance + one.bias).sum(axis=0) for one in (self, other))
+        with np.errstate(invalid="ignore"):
+            better = where & other.agrees & (theirs < mine)
+        return _Spread(
+            *(np.where(better, t, m) for m, t in zip(vars(self).values(), vars(other).values(), strict=True))
+        )
+
+
+def _spread(
+    images: PreparedImages,
+    expected: Floats,
+    subsets: Subsets,
+    parameters: CorrelateParameters,
+    threads: int,
+    *,
+    between: bool = False,
+) -> _Spread:
+    """Match points from where they are expected, (2, rows, columns) in px, and spread them to the pixels.
+
+    What is matched `between` cameras is refused where it leaves over too much, and ends at its last points.
+    """
+    labels = images.labels
+    found = _matched(images, expected, subsets, parameters, threads)
+    if between:
+        refuse_misfits(found.matches)
+    plane = in_space(pixels_as_plane(labels.shape))
+    spread = blended(trusted_points(found, labels), plane, labels, subsets.radius, threads)
+    if between:
+        spread.value[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
+    verified = verify_displacement(
+        images, spread.value, subsets.radius, subsets.order, parameters.smoothing_px, threads
+    )
+    return _Spread(spread.value, spread.variance, spread.noise, verified.bias, verified.agrees)
+
+
+def _bent_where_it_bends(
+    images: PreparedImages,
+    spread: _Spread,
+    expected: Floats,
+    subsets: Subsets,
+    parameters: CorrelateParameters,
+    threads: int,
+) -> _Spread:
+    """Return what subsets of first order have found or, where they leave over much, those of second order.
+
+    A tilt of a curved surface bends the image of each camera. Between the shapes of two states that moves the
+    end along the surface alone, between rays it moves the depth.
+    """
+    bent = spread.variance.sum(axis=0) > _BENT * spread.noise.sum(axis=0)
+    if subsets.order != 1 or not bent.any():
+        return spread
+    near = widened(bent, 2 * int(np.ceil(blending_reach(subsets.radius, WARP))) + 1)
+    wanted = np.where(near, expected, np.nan)
+    other = _spread(images, wanted, replace(subsets, order=2), parameters, threads)
+    return spread.or_where_better(other, bent)
 
 
 def _matched(
@@ -307,8 +394,8 @@ def _matched(
 
 def _met(
     scene: _Scene,
-    field: DisplacementField,
-    image: ImageDisplacement,
+    moved: _Spread,
+    correlation: Floats,
     before: TexturedState,
     ends: list[FollowedPlaces],
     wanted: Mask,
@@ -318,10 +405,10 @@ def _met(
     """Meet the rays of the wanted pixels (rows, columns) before and after."""
     surface, radius = before.surface, parameters.subset_radius_px
     pixels = _pixels(wanted.shape)
-    end = pixels + field.image_displacement
+    end = pixels + moved.moved
     slopes = slopes_of_places(end, radius)
     slopes = np.where(np.isfinite(slopes), slopes, np.eye(2)[..., None, None])
-    own = FollowedPlaces(end, image.variance, image.noise, image.verified.bias, slopes)
+    own = FollowedPlaces(end, moved.variance, moved.noise, moved.bias, slopes)
     first_slopes = np.stack([slopes_of_places(one, surface.subset_radius_px) for one in scene.first])
     depth = position_covariance(surface)[[0, 3, 5]].sum(axis=0, dtype=np.float64)
     part = np.zeros(wanted.shape) if surface.noise_part is None else surface.noise_part.astype(np.float64)
@@ -339,7 +426,7 @@ def _met(
                 start,
                 own.at(*at),
                 [one.at(*at) for one in ends],
-                image.correlation[at],
+                correlation[at],
                 by_own_texture=parameters.following == "own-reference",
                 threads=threads,
             )
