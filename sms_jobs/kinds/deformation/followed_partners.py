@@ -13,40 +13,30 @@ import numpy as np
 from scipy import ndimage
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters, match_settings
+from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.deformation.dense_fields import ImageDisplacement
+from sms_jobs.kinds.deformation.followed_matches import FollowedMatches, follow_bends, match_and_spread
 from sms_jobs.kinds.deformation.textured_state import CALIBRATION_OF_SHAPE, TexturedState
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
-from sms_jobs.kinds.point_matches import between_matches, trusted_points
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, PLACES
 from sms_jobs.kinds.shape.textures import white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.deformation.fields.displacement import blended, blending_reach
 from sms_jobs.metrology.deformation.fields.followed_points import (
     FollowedPlaces,
     FollowedPoints,
     StartPlaces,
     followed_displacement,
 )
-from sms_jobs.metrology.deformation.matching.camera_matching import refuse_misfits
 from sms_jobs.metrology.deformation.matching.correlation import (
-    CONVERGED,
-    NOT_CONVERGED,
     PreparedImages,
-    match_points,
     prepare_images,
 )
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
-from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, is_sure
-from sms_jobs.metrology.deformation.matching.sampling import sample_nodes
-from sms_jobs.metrology.deformation.matching.shape_functions import WARP, ShapeOrder
-from sms_jobs.metrology.deformation.matching.verification import verify_displacement
+from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid, project
-from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import slopes_of_places
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
-from sms_jobs.metrology.images.masks import widened
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.reasons import Reason
@@ -67,8 +57,6 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 _AT_ONCE = 1 << 17
 """Points whose rays are met at a time, so that memory does not grow with the image."""
 _NOWHERE = -10.0
-_BENT = 2.0
-"""Variance of a partner's match over that of noise, from which on subsets of second order are tried, too."""
 
 
 def blur_of(parameters: CorrelateParameters) -> float:
@@ -127,9 +115,9 @@ def followed_field(
 
     `image` is what the reference camera's `images` have said. What has no value by the shapes gets none.
     """
-    own = _bent_where_it_bends(
+    own = follow_bends(
         images,
-        _Spread(
+        FollowedMatches(
             field.image_displacement,
             image.variance,
             image.noise,
@@ -217,8 +205,8 @@ def _by_own_texture(
     )
     subsets = Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order))
     expected = _pixels(shape) + shift
-    spread = _spread(images, expected, subsets, parameters, inputs.threads)
-    spread = _bent_where_it_bends(images, spread, expected, subsets, parameters, inputs.threads)
+    spread = match_and_spread(images, expected, subsets, parameters, inputs.threads)
+    spread = follow_bends(images, spread, expected, subsets, parameters, inputs.threads)
     known = np.isfinite(spread.moved[0]) & spread.agrees
     x, y = (np.where(np.isfinite(axis), axis, _NOWHERE) for axis in start)
     there, _, slopes = interpolate_in_region(
@@ -283,7 +271,9 @@ def _by_first_image(
         blur=blur_of(parameters),
     )
     subsets = Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order))
-    spread = _spread(images, scene.expected[partner], subsets, parameters, inputs.threads, between=True)
+    spread = match_and_spread(
+        images, scene.expected[partner], subsets, parameters, inputs.threads, between=True
+    )
     off = (spread.bias > np.maximum(_OFF_SIGMAS**2 * spread.variance, _OFF_PX**2)).any(axis=0)
     disagree = np.isfinite(spread.moved[0]) & (off | ~spread.agrees)
     place = np.where(disagree, np.nan, _pixels(shape) + spread.moved)
@@ -293,108 +283,9 @@ def _by_first_image(
     return _End(FollowedPlaces(place, spread.variance, spread.noise, 0.0 * spread.bias, slopes), disagree)
 
 
-@dataclass(frozen=True)
-class _Spread:
-    """Matches at every pixel of the image that they were made in, and what both images say of them.
-
-    Attributes
-    ----------
-    moved, variance, noise, bias
-        (2, rows, columns): in px, and in px^2.
-    agrees
-        (rows, columns), whether both images show the same thing.
-    """
-
-    moved: Floats
-    variance: Floats
-    noise: Floats
-    bias: Floats
-    agrees: Mask
-
-    def or_where_better(self, other: _Spread, where: Mask) -> _Spread:
-        """Return the other's values where they are wanted, known, and state a smaller error."""
-        mine, theirs = ((one.variance + one.bias).sum(axis=0) for one in (self, other))
-        with np.errstate(invalid="ignore"):
-            better = where & other.agrees & (theirs < mine)
-        return _Spread(
-            *(np.where(better, t, m) for m, t in zip(vars(self).values(), vars(other).values(), strict=True))
-        )
-
-
-def _spread(
-    images: PreparedImages,
-    expected: Floats,
-    subsets: Subsets,
-    parameters: CorrelateParameters,
-    threads: int,
-    *,
-    between: bool = False,
-) -> _Spread:
-    """Match points from where they are expected, (2, rows, columns) in px, and spread them to the pixels.
-
-    What is matched `between` cameras is refused where it leaves over too much, and ends at its last points.
-    """
-    labels = images.labels
-    found = _matched(images, expected, subsets, parameters, threads)
-    if between:
-        refuse_misfits(found.matches)
-    plane = in_space(pixels_as_plane(labels.shape))
-    spread = blended(trusted_points(found, labels), plane, labels, subsets.radius, threads)
-    if between:
-        spread.value[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
-    verified = verify_displacement(
-        images, spread.value, subsets.radius, subsets.order, parameters.smoothing_px, threads
-    )
-    return _Spread(spread.value, spread.variance, spread.noise, verified.bias, verified.agrees)
-
-
-def _bent_where_it_bends(
-    images: PreparedImages,
-    spread: _Spread,
-    expected: Floats,
-    subsets: Subsets,
-    parameters: CorrelateParameters,
-    threads: int,
-) -> _Spread:
-    """Return what subsets of first order have found or, where they leave over much, those of second order.
-
-    A tilt of a curved surface bends the image of each camera. Between the shapes of two states that moves the
-    end along the surface alone, between rays it moves the depth.
-    """
-    bent = spread.variance.sum(axis=0) > _BENT * spread.noise.sum(axis=0)
-    if subsets.order != 1 or not bent.any():
-        return spread
-    near = widened(bent, 2 * int(np.ceil(blending_reach(subsets.radius, WARP))) + 1)
-    wanted = np.where(near, expected, np.nan)
-    other = _spread(images, wanted, replace(subsets, order=2), parameters, threads)
-    return spread.or_where_better(other, bent)
-
-
-def _matched(
-    images: PreparedImages, expected: Floats, subsets: Subsets, parameters: CorrelateParameters, threads: int
-) -> GridMatches:
-    """Match points of a grid from where they are expected, (2, rows, columns) in px."""
-    nodes = sample_nodes(images.labels, parameters.spacing_px, parameters.edge_spacing_px)
-    slopes = slopes_of_places(expected, subsets.radius)[:, :, nodes.y, nodes.x]
-    slopes -= np.eye(2)[..., None]
-    u, v = expected[:, nodes.y, nodes.x] - [nodes.x, nodes.y]
-    guess = np.stack([u, *slopes[0], v, *slopes[1]], axis=1)
-    known = np.isfinite(u)
-    x, y = nodes.x[known], nodes.y[known]
-    settings = replace(
-        match_settings(parameters, parameters.minimum_subset_part),
-        radius=subsets.radius,
-        shape_order=subsets.order,
-    )
-    found = match_points(images, x, y, np.nan_to_num(guess[known]), settings, threads)
-    limits = GridSettings(minimum_score=parameters.minimum_score, maximum_sigma=parameters.maximum_sigma_px)
-    ending = np.where(is_sure(found, limits), CONVERGED, NOT_CONVERGED).astype(np.int32)
-    return GridMatches(x, y, replace(found, ending=ending))
-
-
 def _met(
     scene: _Scene,
-    moved: _Spread,
+    moved: FollowedMatches,
     correlation: Floats,
     before: TexturedState,
     ends: list[FollowedPlaces],
