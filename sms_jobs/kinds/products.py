@@ -17,6 +17,7 @@ from sms_jobs.records.fields import (
     MergedField,
     Mesh,
     PhaseMaps,
+    PlacesSeen,
     Regions,
     ReturnMaps,
     StrainField,
@@ -125,6 +126,7 @@ CALIBRATION_FACTOR = Product("factor", CalibrationFactor)
 BOARD = Product("observation", BoardObservation)
 BAR = Product("observation", BarObservation)
 SURFACE = Product("surface", Surface)
+PLACES = Product("places", PlacesSeen)
 PHASE = Product("phase", PhaseMaps)
 RETURNS = Product("returns", ReturnMaps)
 RESPONSE = Product("response", ResponseDiagnosis)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.kinds.kind import MEASUREMENT, Inputs, Need, Port
-from sms_jobs.kinds.products import CALIBRATION_FACTOR, MEASURED, PHASE, SURFACE, Product
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, MEASURED, PHASE, PLACES, SURFACE, Product
 from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, Surface
@@ -48,7 +48,7 @@ MAKERS = (
         lambda view: bool(view.projectors and view.other_cameras),
     ),
     Maker("reconstruct", (SURFACE, PHASE, CALIBRATION_FACTOR), lambda view: bool(view.projectors)),
-    Maker("stereo", (SURFACE, CALIBRATION_FACTOR), lambda view: bool(view.other_cameras)),
+    Maker("stereo", (SURFACE, CALIBRATION_FACTOR, PLACES), lambda view: bool(view.other_cameras)),
     Maker("plane", (SURFACE,), lambda view: not view.measures_shape, once=True),
 )
 
@@ -116,10 +116,12 @@ def textured_by(subject: Subject) -> Subject:
     return subject.recordings[0]
 
 
-def state_ports(surface: str, frames: str, *, several: bool = False) -> StatePorts:
-    """Return the ports of a state, by their names."""
+def state_ports(
+    surface: str, frames: str, also: tuple[Product[Any], ...] = (), *, several: bool = False
+) -> StatePorts:
+    """Return the ports of a state, by their names; `also` is read of its surface's file."""
     return StatePorts(
-        surface_port(surface, (SURFACE, PHASE, CALIBRATION_FACTOR), several=several),
+        surface_port(surface, (SURFACE, PHASE, CALIBRATION_FACTOR, *also), several=several),
         Port(frames, MEASUREMENT, (MEASURED,), several),
     )
 

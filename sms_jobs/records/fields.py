@@ -222,6 +222,19 @@ class ImageMatches:
 
 
 @dataclass(frozen=True)
+class PlacesSeen:
+    """Where another camera sees what each pixel of the reference camera sees at the same time."""
+
+    camera: str
+    shift: Singles = array(
+        "px",
+        "place in the camera's image less the pixel's own; NaN where it does not see the point",
+        VECTOR_IMAGE,
+        ("x", "y"),
+    )
+
+
+@dataclass(frozen=True)
 class DisplacementField:
     """Displacement of the material point seen by each pixel of the reference image.
 

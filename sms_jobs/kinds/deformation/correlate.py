@@ -27,6 +27,14 @@ from sms_jobs.kinds.deformation.dense_fields import (
     spread,
 )
 from sms_jobs.kinds.deformation.finer import take_subsets
+from sms_jobs.kinds.deformation.followed_partners import (
+    CALIBRATION_AT_REST,
+    PARTNERS,
+    PARTNERS_AT_REST,
+    blur_of,
+    followed_field,
+    needs_of_partners,
+)
 from sms_jobs.kinds.deformation.textured_state import (
     CALIBRATION_OF_SHAPE,
     TexturedState,
@@ -48,7 +56,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.point_matches import match_statistics, summary
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
-from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, REGIONS, Product
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, PLACES, REGIONS, Product
 from sms_jobs.kinds.resolution import resolution_statistics
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
@@ -69,7 +77,7 @@ from sms_jobs.records.statistic_names import maximum_displacement
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
-_REFERENCE = state_ports(AT_REST, FRAMES_AT_REST)
+_REFERENCE = state_ports(AT_REST, FRAMES_AT_REST, (PLACES,))
 _DEFORMED = state_ports("deformed", "measurement")
 _BEFORE = state_ports("previous_shape", "previous_measurement")
 _MATCHED_BEFORE = Port("previous", "correlate", (MATCHES,))
@@ -81,6 +89,7 @@ def _needs(campaign: Campaign, subject: Subject, parameters: CorrelateParameters
         yield CALIBRATION_OF_SHAPE.of(subject)
     yield from _REFERENCE.of(campaign, replace(subject, state=campaign.reference.label))
     yield from _DEFORMED.of(campaign, subject)
+    yield from needs_of_partners(campaign, subject, parameters)
     labels = [state.label for state in tested_states(campaign)]
     place = labels.index(subject.state) if subject.state in labels else 0
     if parameters.reference == "first" or place < 2:
@@ -131,6 +140,9 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     resolution = taken.resolution(before, parameters)
     if before.surface.has_depth:
         field = field_in_space(image, before, after, reference, parameters, resolution, threads)
+        if parameters.following != "each-state":
+            progress(0.8, f"following points by {parameters.following}")
+            field = followed_field(inputs, _REFERENCE, field, images, image, before, parameters)
     else:
         field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
@@ -193,6 +205,7 @@ def _prepared(before: TexturedState, after: TexturedState, parameters: Correlate
         before.matched,
         (before.noise, after.noise),
         parameters.interpolation,
+        blur=0.0 if parameters.following == "each-state" else blur_of(parameters),
     )
 
 
@@ -288,7 +301,16 @@ KIND = Kind(
     version=19,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
-    inputs=(CALIBRATION_OF_SHAPE, *_REFERENCE.all, *_DEFORMED.all, *_BEFORE.all, _MATCHED_BEFORE),
+    inputs=(
+        CALIBRATION_OF_SHAPE,
+        *_REFERENCE.all,
+        *_DEFORMED.all,
+        *_BEFORE.all,
+        _MATCHED_BEFORE,
+        CALIBRATION_AT_REST,
+        PARTNERS_AT_REST,
+        PARTNERS,
+    ),
     outputs=(DISPLACEMENT, MATCHES, REGIONS, CALIBRATION_FACTOR.by("state")),
     needs=_needs,
     run=run,

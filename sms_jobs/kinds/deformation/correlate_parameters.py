@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self, cast
+from typing import Literal, Self, TypeAlias, cast
 
 from pydantic import Field, field_validator, model_validator
 
@@ -15,6 +15,9 @@ from sms_jobs.metrology.images.region_of_interest import parse_outlines
 from sms_jobs.metrology.images.segmentation import EdgeSettings, EdgeTest
 from sms_jobs.metrology.images.smoothing import LARGEST_SMOOTHING_PX
 from sms_jobs.metrology.images.spline import Interpolant
+
+Following: TypeAlias = Literal["each-state", "own-reference", "shared-reference"]
+"""How points are followed that several cameras see."""
 
 _USUAL_EDGES = EdgeSettings()
 
@@ -110,6 +113,14 @@ class CorrelateParameters(Parameters):
         "displacements are added up; or, for large deformation, the reference wherever that can be done, "
         "from where the state before leads to, and elsewhere the state before",
     )
+    following: Following = Field(
+        "each-state",
+        description="of views of several cameras without a projector: how the end of a displacement is found "
+        "where the reference camera's match has ended. By the shape of each state, whose cameras are matched "
+        "with each other; by each camera's texture from its own first image (own-reference), which leaves "
+        "out of a displacement what the match between cameras is off by, unless views change by a tilt; or "
+        "by matching the other cameras' images with the reference camera's first one (shared-reference)",
+    )
     regions: Literal["measured", "none"] = Field(
         "measured",
         description="whether subsets end at the discontinuities of the measured shape, or, as in plain image "
@@ -169,6 +180,17 @@ class CorrelateParameters(Parameters):
             raise ValueError(
                 "subsets = adaptive goes with method = gauss-newton and reference = first, not with "
                 f"{self.method} and {self.reference}; leave out one or the other"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _partners_can_be_followed(self) -> Self:
+        plain = self.method == "gauss-newton" and self.subsets == "fixed" and self.reference != "previous"
+        if self.following != "each-state" and not plain:
+            raise ValueError(
+                f"following = {self.following} goes with method = gauss-newton, subsets = fixed and "
+                f"reference = first or auto, not with {self.method}, {self.subsets} and {self.reference}; "
+                "leave out one or the other"
             )
         return self
 

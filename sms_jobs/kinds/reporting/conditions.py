@@ -219,6 +219,8 @@ def _answers(parameters: Mapping[str, Any]) -> dict[str, str]:
     spacing, at_edges = parameters.get("spacing_px"), parameters.get("edge_spacing_px")
     step = f"{spacing} px" + (f", {at_edges} px at edges" if at_edges else "")
     whole = "" if parameters.get("regions") == "none" else ", less what lies on other regions"
+    following = parameters.get("following", "each-state")
+    partners = "" if following == "each-state" else f"; of the other cameras: {following}"
     return {
         "subset size": NOT_RECORDED if radius is None else f"{2 * radius + 1} px square{whole}",
         "step size": NOT_RECORDED if spacing is None else step,
@@ -227,7 +229,7 @@ def _answers(parameters: Mapping[str, Any]) -> dict[str, str]:
         "matching criterion": _CRITERIA.get(parameters.get("method", ""), NOT_RECORDED),
         "image pre-filter": NOT_RECORDED if smoothing is None else filtered,
         "image that is matched": str(parameters.get("texture", NOT_RECORDED)),
-        "reference image": str(parameters.get("reference", NOT_RECORDED)),
+        "reference image": str(parameters.get("reference", NOT_RECORDED)) + partners,
     }
 
 

@@ -19,7 +19,7 @@ from sms_jobs.metrology.deformation.matching.verification import verify_displace
 from sms_jobs.metrology.geometry.camera import pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays, slopes_of_places
-from sms_jobs.records.fields import Surface
+from sms_jobs.records.fields import PlacesSeen, Surface
 from sms_jobs.records.reasons import Reason
 
 _OFF_SIGMAS, _OFF_PX = 3.0, 0.05
@@ -130,3 +130,10 @@ def held_against_the_images(surface: Surface, spread: Sequence[PartnerPlaces]) -
     disagree = np.any([one.disagree for one in spread], axis=0) & np.isnan(surface.position[0])
     unseen = disagree & (surface.reason == Reason.NO_MATCH)
     return replace(surface, reason=np.where(unseen, np.uint32(Reason.IMAGES_DISAGREE), surface.reason))
+
+
+def places_seen(camera: str, spread: PartnerPlaces, surface: Surface) -> PlacesSeen:
+    """Return what is kept of a partner's places: those that the surface has been made of."""
+    shift = spread.place - np.moveaxis(pixel_grid(*surface.reason.shape), -1, 0)
+    shift[:, surface.reason != Reason.VALID] = np.nan
+    return PlacesSeen(camera, shift.astype(np.float32))

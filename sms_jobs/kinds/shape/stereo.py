@@ -44,6 +44,7 @@ from sms_jobs.kinds.products import (
     CALIBRATION_FACTOR,
     MATCHES,
     MEASURED,
+    PLACES,
     SURFACE,
     UNCERTAINTY,
     Product,
@@ -53,6 +54,7 @@ from sms_jobs.kinds.shape.partner_places import (
     PartnerPlaces,
     held_against_the_images,
     places_of_pixels,
+    places_seen,
     points_of_pixels,
     with_noise,
 )
@@ -148,6 +150,8 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     }
     records: dict[Product[Any], object] = {SURFACE: surface}
     records |= {MATCHES.of(name): matches for name, matches in kept.items()}
+    for name, places in zip(inputs.view.other_cameras, spread, strict=True):
+        records[PLACES.of(name)] = places_seen(name, places, surface)
     statistics = _statistics(surface, labels, kept, epipolar)
     if factor is not None:
         statistics |= stated_of_lines(factor, surface)
@@ -313,7 +317,7 @@ KIND = Kind(
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),
-    outputs=(SURFACE, MATCHES.by("camera"), CALIBRATION_FACTOR),
+    outputs=(SURFACE, MATCHES.by("camera"), PLACES.by("camera"), CALIBRATION_FACTOR),
     needs=_needs,
     run=run,
     subjects=camera_tuples,

@@ -14,5 +14,5 @@ def test_all_ways_find_a_small_shift() -> None:
     # A pixel is 0.56 mm, depth is known less well by the sine of 20 degrees: 0.015 px of a match are 25 um.
     assert all(one.rms < 25.0 and one.bias < 0.2 * one.rms for one in judged.values())
     # The same texture seen by the same camera is matched better than by another.
-    assert judged["own reference"].median < judged["each state"].median
+    assert judged["own-reference"].median < judged["each-state"].median
     assert all(one.valid > 0.4 for one in judged.values())

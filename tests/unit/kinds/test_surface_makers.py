@@ -25,4 +25,4 @@ def test_the_surface_of_a_view_is_made_by_the_kind_that_is_asked_for_it() -> Non
 
 def test_what_is_said_of_a_maker_is_what_its_kind_declares() -> None:
     for maker in MAKERS:
-        assert set(maker.products) <= set(all_kinds()[maker.kind].outputs)
+        assert set(maker.products) <= set(all_kinds()[maker.kind].records)
