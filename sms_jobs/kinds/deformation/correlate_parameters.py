@@ -118,7 +118,7 @@ class CorrelateParameters(Parameters):
         description="of views of several cameras without a projector: how the end of a displacement is found "
         "where the reference camera's match has ended. By the shape of each state, whose cameras are matched "
         "with each other; by each camera's texture from its own first image (own-reference), which leaves "
-        "out of a displacement what the match between cameras is off by, unless views change by a tilt; or "
+        "out of a displacement most of what the match between cameras is off by; or "
         "by matching the other cameras' images with the reference camera's first one (shared-reference)",
     )
     regions: Literal["measured", "none"] = Field(
