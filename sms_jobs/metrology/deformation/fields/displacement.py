@@ -28,6 +28,9 @@ blended matches over that of one (by quadrature): see `blend_matches`."""
 
 _HALF_DISC = 0.29
 """Mean distance of the matches about a pixel from it, in radii of blending, if they fill half a disc."""
+_LANES = 8  # matches that one instruction may take
+_BEYOND = 1.0 + 1e-9
+"""Squared distance, in those of the reach, from which on a match weighs nothing however it is rounded."""
 _CARRIED, _CHANCE = 0.25, 5.0
 """By trial at borders: the part of such matches' scatter that noise alone makes an error, and that scatter in
 variances of the blend."""
@@ -175,25 +178,65 @@ def _weighted_sums(
 
 
 @kernel
-def _gather(matches: Floats, first: Ints, row: int, column: int, cells: int, near: Floats) -> int:
+def _box_of_cell(
+    xyz: Floats, labels: Labels, rows: tuple[int, int], columns: tuple[int, int], box: Floats
+) -> None:
+    """Fill in the least and greatest numbers (5, 2) of a cell's labelled pixels: column, row, x, y, z."""
+    box[0, 0], box[0, 1] = columns[0], columns[1] - 1
+    box[1, 0], box[1, 1] = rows[0], rows[1] - 1
+    box[2:, 0], box[2:, 1] = np.inf, -np.inf
+    for r in range(rows[0], rows[1]):
+        for c in range(columns[0], columns[1]):
+            if labels[r, c] == 0:
+                continue
+            for i in range(3):
+                if xyz[i, r, c] < box[2 + i, 0]:
+                    box[2 + i, 0] = xyz[i, r, c]
+                if xyz[i, r, c] > box[2 + i, 1]:
+                    box[2 + i, 1] = xyz[i, r, c]
+
+
+@kernel
+def _gather(
+    matches: Floats, first: Ints, row: int, column: int, cells: int, box: Floats, scale: tuple[float, float],
+    chosen: Ints, near: Floats,
+) -> int:  # fmt: skip
     """Copy the matches in cells about one to the first columns of `near`; return how many they are.
 
-    Or, where `near` is too small, only that.
+    Or, where `near` is too small, at most how many. What is beyond reach of all of the cell's pixels, whose
+    `box` is that of `_box_of_cell` and `scale` of `_weighted_sums`, is left out.
     """
     left, right = max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)
     top, bottom = max(row - cells, 0), min(row + cells + 1, first.shape[0])
     count = 0
     for j in range(top, bottom):
         count += first[j, right] - first[j, left]
-    if count > near.shape[1]:
-        return count
+    if count + _LANES > near.shape[1]:
+        return count + _LANES
+    count = 0
+    for j in range(top, bottom):
+        for m in range(first[j, left], first[j, right]):
+            in_image, in_space = 0.0, 0.0
+            for i in range(5):
+                off = max(box[i, 0] - matches[i, m], matches[i, m] - box[i, 1], 0.0)
+                if i < 2:
+                    in_image += off * off
+                else:
+                    in_space += off * off
+            # Written so that NaN, which weighs nothing, is left in, and what rounding may bring within reach.
+            if scale[1] * (in_image + scale[0] * in_space) > _BEYOND:
+                continue
+            chosen[count] = m
+            count += 1
+    whole = -(-count // _LANES) * _LANES if count else 0
+    for k in range(count, whole):
+        chosen[k] = chosen[count - 1]
     for i in range(len(matches)):
-        at = 0
-        for j in range(top, bottom):
-            for m in range(first[j, left], first[j, right]):
-                near[i, at] = matches[i, m]
-                at += 1
-    return count
+        for k in range(whole):
+            near[i, k] = matches[i, chosen[k]]
+    for k in range(count, whole):
+        near[6, k] = -1.0  # a region that no pixel has: these only fill the last instruction
+    return whole
 
 
 @kernel
@@ -209,22 +252,26 @@ def _blend_rows(
     """
     cells = int(np.ceil(reach / side))
     scale = (1.0 / footprint**2, 0.5 / reach**2)
-    near = np.empty((len(matches), 256))
+    near, chosen = np.empty((len(matches), 256)), np.empty(256, dtype=np.int64)
+    box = np.empty((5, 2))
     sums = np.empty(10)
     for row in range(start // side, (stop - 1) // side + 1):
         for column in range(first.shape[1] - 1):
             count = -1
-            for r in range(max(row * side, start), min((row + 1) * side, stop)):
-                for c in range(column * side, min((column + 1) * side, labels.shape[1])):
+            own_rows = (max(row * side, start), min((row + 1) * side, stop))
+            own_columns = (column * side, min((column + 1) * side, labels.shape[1]))
+            for r in range(own_rows[0], own_rows[1]):
+                for c in range(own_columns[0], own_columns[1]):
                     value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
                     noise[0, r, c] = noise[1, r, c] = np.nan
                     if labels[r, c] == 0:
                         continue
                     if count < 0:
-                        count = _gather(matches, first, row, column, cells, near)
+                        _box_of_cell(xyz, labels, own_rows, own_columns, box)
+                        count = _gather(matches, first, row, column, cells, box, scale, chosen, near)
                         if count > near.shape[1]:
-                            near = np.empty((len(matches), 2 * count))
-                            count = _gather(matches, first, row, column, cells, near)
+                            near, chosen = np.empty((len(matches), 2 * count)), np.empty(2 * count, np.int64)
+                            count = _gather(matches, first, row, column, cells, box, scale, chosen, near)
                     place = (xyz[0, r, c], xyz[1, r, c], xyz[2, r, c])
                     _weighted_sums(near, count, (c, r, labels[r, c]), place, scale, sums)
                     total = sums[0]
@@ -243,6 +290,8 @@ def _blend_rows(
 
 def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
     """Return a quantile of the distances in mm between neighbouring points of a region; 1 without any."""
+    part = box_of(labels > 0)
+    xyz, labels = xyz[:, *part], labels[part]
     steps = []
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
         together = (labels[first] == labels[second]) & (labels[first] > 0)
