@@ -411,5 +411,5 @@ def match_points(
             warp, result.sigma, result.score, result.iterations, result.ending, result.misfit,
         )  # fmt: skip
 
-    in_row_blocks(work, len(x), threads)
+    in_row_blocks(work, len(x), threads, block=128)
     return result
