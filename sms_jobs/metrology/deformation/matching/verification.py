@@ -15,7 +15,7 @@ import numpy as np
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.matching import window_maps
-from sms_jobs.metrology.deformation.matching.correlation import Noise, PreparedImages
+from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
 from sms_jobs.metrology.images.masks import box_of, narrowed
 from sms_jobs.metrology.images.smoothing import (
@@ -304,8 +304,13 @@ def _factors(
     )
 
 
-def _variance(noise: Noise, level: Floats) -> Floats:
-    return np.maximum(noise.floor + noise.slope * level, _LEAST_VARIANCE)
+def _variance(images: PreparedImages, f: Floats, g: Floats, gain: Floats) -> Floats:
+    """Return the variance of f - b g by what matching is told of both images' noise."""
+    first, second = images.noise
+    noise = float(first.floor), float(first.slope), float(second.floor), float(second.slope)
+    variance = np.empty(g.shape)
+    window_maps.variances(np.ascontiguousarray(f), g, gain, noise, _LEAST_VARIANCE, variance)
+    return variance
 
 
 def _in_part(
@@ -328,7 +333,7 @@ def _in_part(
     residual, gain, texture = _left_over(f, g, known, _alike(coarse, known), sizes.subset)
     like = _alike(residual, known)
     gx, gy = (np.where(known, slope[part], 0.0) for slope in (images.gradient_x, images.gradient_y))
-    variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
+    variance = _variance(images, f, g, gain)
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
     asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
     noises = np.where(inner[part], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
@@ -338,12 +343,9 @@ def _in_part(
     )
     x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
     fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
-    with np.errstate(invalid="ignore"):
-        sure = known & (fine_asked**2 > _ALONE**2 * roughness * spread)
-    square = np.maximum(square, np.where(sure, fine_asked**2, 0.0))
-    step = np.where(np.isfinite(asked) & (np.abs(asked) < _FAR), asked, 0.0)
-    mended = residual - step[0] * gx - step[1] * gy
-    squares = np.where(like, np.minimum(mended**2, residual**2), np.where(known, residual**2, 0.0))
+    window_maps.raise_where_sure(fine_asked, spread, roughness, known, _ALONE, square)
+    squares = np.empty(residual.shape)
+    window_maps.mended_squares(residual, asked, (gx, gy), (like, known), _FAR, squares)
     return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
 
 

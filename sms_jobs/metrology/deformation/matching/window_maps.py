@@ -128,3 +128,53 @@ def bounded(
             error = np.sqrt(2.0 * _most(chance[r, c], 0.0) / independent) / total
             room = _least(found[r, c], _most(mean, 0.0) + at_most * error)
             bound[r, c] = _most(room, mean if mean > least * error else 0.0)
+
+
+@kernel
+def variances(
+    f: Floats, g: Floats, gain: Floats, noise: tuple[float, float, float, float], least: float,
+    variance: Floats,
+) -> None:  # fmt: skip
+    """Fill in the variance of f - b g; `noise` is floor and slope of f's and of g's, each at `least`."""
+    rows, columns = f.shape
+    for r in range(rows):
+        for c in range(columns):
+            own = _most(noise[0] + noise[1] * f[r, c], least)
+            other = _most(noise[2] + noise[3] * g[r, c], least)
+            variance[r, c] = own + gain[r, c] * gain[r, c] * other
+
+
+@kernel
+def raise_where_sure(
+    asked: Floats, spread: Floats, roughness: Floats, known: Mask, sigmas: float, square: Floats
+) -> None:
+    """Raise `square` (2, ..) to that of what is asked for, where it is more than so many `sigmas`."""
+    rows, columns = known.shape
+    for i in range(2):
+        for r in range(rows):
+            for c in range(columns):
+                own = asked[i, r, c] * asked[i, r, c]
+                sure = known[r, c] & (own > sigmas * sigmas * roughness[r, c] * spread[i, r, c])
+                square[i, r, c] = _most(square[i, r, c], own if sure else 0.0)
+
+
+@kernel
+def mended_squares(
+    residual: Floats, asked: Floats, slopes: tuple[Floats, Floats], masks: tuple[Mask, Mask], far: float,
+    squares: Floats,
+) -> None:  # fmt: skip
+    """Fill in squares of residuals, where pixels are alike as far as a step that is not too `far` mends them.
+
+    `masks` are the pixels that are alike, and those that are known; 0 for others.
+    """
+    gx, gy = slopes
+    like, known = masks
+    rows, columns = residual.shape
+    for r in range(rows):
+        for c in range(columns):
+            u = asked[0, r, c] if abs(asked[0, r, c]) < far else 0.0
+            v = asked[1, r, c] if abs(asked[1, r, c]) < far else 0.0
+            left = residual[r, c]
+            mended = left - u * gx[r, c] - v * gy[r, c]
+            square = left * left if known[r, c] else 0.0
+            squares[r, c] = _least(mended * mended, left * left) if like[r, c] else square
