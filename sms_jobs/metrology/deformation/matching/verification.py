@@ -166,8 +166,8 @@ def _left_over(
     window_maps.trusted_products(f, g, trusted, *products)
     weight = _means(trusted.astype(np.float64), radius)
     residual, gain, texture = (np.empty(f.shape) for _ in range(3))
-    means = tuple(_means(one, radius) for one in products)
-    window_maps.without_light(f, g, known, weight, means, residual, gain, texture)
+    f_means, g_means, gg, fg = (_means(one, radius) for one in products)
+    window_maps.without_light(f, g, known, weight, (f_means, g_means, gg, fg), residual, gain, texture)
     return residual, gain, texture
 
 
@@ -178,8 +178,8 @@ def _mean_square(
 
     Windows count by what they know. A mean over a square counts where it is significant; that over a larger
     square does so too, as far as the smaller ones leave room for it. What is not `inner` is judged by its
-    smallest square alone, and judges nothing else: there matches are carried to the image's border. It is of
-    no matter where no displacement is `told`.
+    smallest square alone, and judges nothing else: there matches are carried to the image's border. That is
+    left out where no displacement is `told` for any such pixel.
     """
     usable = known & np.isfinite(asked) & (spread > 0.0) & (np.abs(asked) < _FAR)
     asked, noise = np.where(usable, asked, 0.0), np.where(usable, spread, 1.0)
@@ -201,8 +201,8 @@ def _bounded(found: Floats, maps: tuple[Floats, ...], scale: int, window: int) -
     """Return the mean square over squares, or `found` as far as it has room, where that is no chance."""
     independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * window + 1) ** 2)
     bound = np.empty(found.shape)
-    means = tuple(_means(one, scale) for one in maps)
-    window_maps.bounded(found, means, independent, _ASKED_FOR, _AT_MOST, bound)
+    weight, excess, chance = (_means(one, scale) for one in maps)
+    window_maps.bounded(found, (weight, excess, chance), independent, _ASKED_FOR, _AT_MOST, bound)
     return bound
 
 
@@ -337,7 +337,7 @@ def _in_part(
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
     asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
     noises = np.where(inner[part], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
-    told = np.isfinite(image[:, *part]).all(axis=0)
+    told = np.asarray(np.isfinite(image[:, *part]).all(axis=0))
     square = np.stack(
         [_mean_square(a, n, known, told, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
     )
