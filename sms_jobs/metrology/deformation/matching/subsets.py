@@ -44,22 +44,9 @@ def blurred_more(
 
 @kernel
 def collect(
-    reference: Floats,
-    gradient_x: Floats,
-    gradient_y: Floats,
-    labels: Labels,
-    cx: int,
-    cy: int,
-    radius: int,
-    warp: Floats,
-    blur: float,
-    dx: Floats,
-    dy: Floats,
-    f: Floats,
-    gx: Floats,
-    gy: Floats,
-    box: Ints,
-) -> int:
+    reference: Floats, gradient_x: Floats, gradient_y: Floats, labels: Labels, cx: int, cy: int, radius: int,
+    warp: Floats, blur: float, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, box: Ints,
+) -> int:  # fmt: skip
     """Fill a subset's offsets, grey levels and slopes and their bounding box; return its number of pixels.
 
     A pixel belongs if it lies on the centre's region and neither it nor its expected counterpart lies at the
