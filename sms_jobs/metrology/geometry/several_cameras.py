@@ -302,23 +302,36 @@ def meet_rays(
     return result
 
 
+@kernel
+def _fill_slopes(place: Floats, lever: int, slopes: Floats) -> None:
+    """Do the work of `slopes_of_places`."""
+    rows, columns = place.shape[1:]
+    for k in range(2):
+        for axis in range(2):
+            down, right = (0, lever) if axis == 0 else (lever, 0)
+            for r in range(rows):
+                for c in range(columns):
+                    here, ahead, behind = place[k, r, c], np.nan, np.nan
+                    if r + down < rows and c + right < columns:
+                        ahead = place[k, r + down, c + right]
+                    if r >= down and c >= right:
+                        behind = place[k, r - down, c - right]
+                    slope = (ahead - behind) / (2 * lever)
+                    if np.isnan(slope):
+                        slope = (ahead - here) / lever
+                    if np.isnan(slope):
+                        slope = (here - behind) / lever
+                    slopes[k, axis, r, c] = slope
+
+
 def slopes_of_places(place: Floats, lever_px: int) -> Floats:
     """Return how places (2, rows, columns) change with the pixel, (2, 2, rows, columns): by x, then by y.
 
     Taken between the pixels `lever_px` to either side, or from one side where the other has no place; NaN
     where neither has.
     """
-    slopes = np.full((2, 2, *place.shape[1:]), np.nan)
-    for axis in range(2):
-        padding = [(0, 0), (0, 0), (0, 0)]
-        padding[2 - axis] = (lever_px, lever_px)
-        wide = np.pad(place, padding, constant_values=np.nan)
-        ahead, behind = (np.roll(wide, step, axis=2 - axis) for step in (-lever_px, lever_px))
-        inside = tuple(slice(low, -high or None) for low, high in padding)
-        ahead, behind = ahead[inside], behind[inside]
-        ends = (ahead - behind) / (2 * lever_px), (ahead - place) / lever_px, (place - behind) / lever_px
-        for one in ends:
-            slopes[:, axis] = np.where(np.isnan(slopes[:, axis]), one, slopes[:, axis])
+    slopes = np.empty((2, 2, *place.shape[1:]))
+    _fill_slopes(np.ascontiguousarray(place), lever_px, slopes)
     return slopes
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel, summing_kernel
+from sms_jobs.metrology.arrays import Floats, Ints, Mask
+from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
+from sms_jobs.metrology.deformation.fields.blending import blend_rows
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
@@ -25,12 +26,6 @@ OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 _BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
 """By the numbers of a warp: the distance over which matches are blended, in subset radii, and the variance of
 blended matches over that of one (by quadrature): see `blend_matches`."""
-
-_HALF_DISC = 0.29
-"""Mean distance of the matches about a pixel from it, in radii of blending, if they fill half a disc."""
-_CARRIED, _CHANCE = 0.25, 5.0
-"""By trial at borders: the part of such matches' scatter that noise alone makes an error, and that scatter in
-variances of the blend."""
 
 
 @dataclass(frozen=True)
@@ -129,120 +124,10 @@ class DenseDisplacement:
     status: NDArray[np.int32]
 
 
-@summing_kernel
-def _weighted_sums(
-    near: Floats, count: int, pixel: tuple[int, int, int], place: tuple[float, float, float],
-    scale: tuple[float, float], sums: Floats,
-) -> None:  # fmt: skip
-    """Fill the weighted sums over the matches near a pixel: of 1, dx, dy, u, v, u^2, v^2, both variances,
-    and what of the two together is noise.
-
-    `pixel` is its column, row and region, `place` where it lies in space, `scale` one over the square of a
-    pixel's size there and half of one over that of the reach in px. Each match is a column of `near`, as
-    `_gather` fills it, and each sum a local number: only then are several matches added at a time. Those
-    beyond reach and of other regions weigh nothing.
-    """
-    per_footprint, per_reach = scale
-    column, row, label = float(pixel[0]), float(pixel[1]), float(pixel[2])
-    x, y, z = place
-    total, off_x, off_y, u_sum, v_sum = 0.0, 0.0, 0.0, 0.0, 0.0
-    u_squares, v_squares, u_noise, v_noise, of_images = 0.0, 0.0, 0.0, 0.0, 0.0
-    for m in range(count):
-        dx = column - near[0, m]
-        dy = row - near[1, m]
-        ax, ay, az = near[2, m] - x, near[3, m] - y, near[4, m] - z
-        d2 = per_reach * (dx * dx + dy * dy + per_footprint * (ax * ax + ay * ay + az * az))
-        weight = (1.0 - d2) * (1.0 - d2) * near[5, m]
-        # Written so that NaN is beyond reach.
-        w = weight if (d2 < 1.0) & (near[6, m] == label) else 0.0
-        xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
-        u = near[9, m] + near[10, m] * dx + near[11, m] * dy
-        v = near[12, m] + near[13, m] * dx + near[14, m] * dy
-        u += near[15, m] * xx + near[16, m] * xy + near[17, m] * yy
-        v += near[18, m] * xx + near[19, m] * xy + near[20, m] * yy
-        total += w
-        off_x += w * dx
-        off_y += w * dy
-        u_sum += w * u
-        v_sum += w * v
-        u_squares += w * u * u
-        v_squares += w * v * v
-        u_noise += w * near[7, m]
-        v_noise += w * near[8, m]
-        of_images += w * near[21, m]
-    sums[0], sums[1], sums[2], sums[3], sums[4] = total, off_x, off_y, u_sum, v_sum
-    sums[5], sums[6], sums[7], sums[8], sums[9] = u_squares, v_squares, u_noise, v_noise, of_images
-
-
-@kernel
-def _gather(matches: Floats, first: Ints, row: int, column: int, cells: int, near: Floats) -> int:
-    """Copy the matches in cells about one to the first columns of `near`; return how many they are.
-
-    Or, where `near` is too small, only that.
-    """
-    left, right = max(column - cells, 0), min(column + cells + 1, first.shape[1] - 1)
-    top, bottom = max(row - cells, 0), min(row + cells + 1, first.shape[0])
-    count = 0
-    for j in range(top, bottom):
-        count += first[j, right] - first[j, left]
-    if count > near.shape[1]:
-        return count
-    for i in range(len(matches)):
-        at = 0
-        for j in range(top, bottom):
-            for m in range(first[j, left], first[j, right]):
-                near[i, at] = matches[i, m]
-                at += 1
-    return count
-
-
-@kernel
-def _blend_rows(
-    start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
-    matches: Floats, reach: float, factor: float, value: Floats, variance: Floats, noise: Floats,
-) -> None:  # fmt: skip
-    """Do the work of `blended` for rows start .. stop.
-
-    Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
-    `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
-    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise.
-    """
-    cells = int(np.ceil(reach / side))
-    scale = (1.0 / footprint**2, 0.5 / reach**2)
-    near = np.empty((len(matches), 256))
-    sums = np.empty(10)
-    for row in range(start // side, (stop - 1) // side + 1):
-        for column in range(first.shape[1] - 1):
-            count = -1
-            for r in range(max(row * side, start), min((row + 1) * side, stop)):
-                for c in range(column * side, min((column + 1) * side, labels.shape[1])):
-                    value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
-                    noise[0, r, c] = noise[1, r, c] = np.nan
-                    if labels[r, c] == 0:
-                        continue
-                    if count < 0:
-                        count = _gather(matches, first, row, column, cells, near)
-                        if count > near.shape[1]:
-                            near = np.empty((len(matches), 2 * count))
-                            count = _gather(matches, first, row, column, cells, near)
-                    place = (xyz[0, r, c], xyz[1, r, c], xyz[2, r, c])
-                    _weighted_sums(near, count, (c, r, labels[r, c]), place, scale, sums)
-                    total = sums[0]
-                    if not total > 0.0:
-                        continue
-                    one_sided = (sums[1] ** 2 + sums[2] ** 2) / (total * reach * _HALF_DISC) ** 2
-                    part = sums[9] / (sums[7] + sums[8])
-                    for a in range(2):
-                        mean = sums[3 + a] / total
-                        own = factor * sums[7 + a] / total
-                        scatter = max(sums[5 + a] / total - mean * mean, 0.0)
-                        value[a, r, c] = mean
-                        noise[a, r, c] = part * own
-                        variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
-
-
 def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> float:
     """Return a quantile of the distances in mm between neighbouring points of a region; 1 without any."""
+    part = box_of(labels > 0)
+    xyz, labels = xyz[:, *part], labels[part]
     steps = []
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
         together = (labels[first] == labels[second]) & (labels[first] > 0)
@@ -337,7 +222,7 @@ def blended(
     )
 
     def work(start: int, stop: int) -> None:
-        _blend_rows(
+        blend_rows(
             start, stop, xyz, labels, footprint, side, first, matches, reach, factor, value, variance, noise
         )
 

@@ -27,7 +27,6 @@ from sms_jobs.metrology.deformation.matching.subsets import (
     collect,
     deformed_sums,
     reference_sums,
-    see_as_partner,
 )
 from sms_jobs.metrology.images.spline import (
     KERNEL_CODE,
@@ -321,12 +320,12 @@ def _match_block(
     box = np.empty(4, dtype=np.int64)
     for k in range(start, stop):
         p = warp[k]
-        n = collect(reference, gradient_x, gradient_y, labels, x[k], y[k], radius, p, dx, dy, f, gx, gy, box)
+        n = collect(
+            reference, gradient_x, gradient_y, labels, x[k], y[k], radius, p, blur, dx, dy, f, gx, gy, box
+        )
         if n < minimum:
             ending[k] = TOO_FEW_PIXELS
             continue
-        if blur > 0.0:
-            see_as_partner(gradient_x, gradient_y, (x[k], y[k]), p, blur, n, dx, dy, f)
         reference_sums(n, dx, dy, f, gx, gy, orders[0], hessian, j1, jf, levels)
         f_mean = levels[0] / n
         ff = levels[1] - levels[0] * f_mean
@@ -412,5 +411,5 @@ def match_points(
             warp, result.sigma, result.score, result.iterations, result.ending, result.misfit,
         )  # fmt: skip
 
-    in_row_blocks(work, len(x), threads)
+    in_row_blocks(work, len(x), threads, block=128)
     return result

@@ -41,9 +41,10 @@ def invert(matrix: Floats, inverse: Floats) -> bool:
                 total -= lower[i, k] * half[k, j]
             half[i, j] = total / lower[i, i]
     for i in range(n):
-        for j in range(n):
+        for j in range(i + 1):
             total = 0.0
-            for k in range(max(i, j), n):
+            for k in range(i, n):
                 total += half[k, i] * half[k, j]
-            inverse[i, j] = total * scale[i] * scale[j]
+            inverse[i, j] = total * (scale[i] * scale[j])
+            inverse[j, i] = inverse[i, j]
     return True

@@ -33,57 +33,28 @@ def blurred_more(
 ) -> float:
     """Return what blurring by variances `tensor` adds to a grey level: half of them times its curvature."""
     xx, xy, yy = tensor
-    along_x = gradient_x[r, c + 1] - gradient_x[r, c - 1]
-    across = gradient_x[r + 1, c] - gradient_x[r - 1, c]
-    along_y = gradient_y[r + 1, c] - gradient_y[r - 1, c]
+    # Unsigned indices need no look at their sign: several pixels are then done at a time.
+    row, column = np.uint64(r), np.uint64(c)
+    above, below, left, right = np.uint64(r - 1), np.uint64(r + 1), np.uint64(c - 1), np.uint64(c + 1)
+    along_x = gradient_x[row, right] - gradient_x[row, left]
+    across = gradient_x[below, column] - gradient_x[above, column]
+    along_y = gradient_y[below, column] - gradient_y[above, column]
     return float(0.25 * (xx * along_x + 2.0 * xy * across + yy * along_y))
 
 
 @kernel
-def see_as_partner(
-    gradient_x: Floats,
-    gradient_y: Floats,
-    centre: tuple[int, int],
-    warp: Floats,
-    blur: float,
-    count: int,
-    dx: Floats,
-    dy: Floats,
-    f: Floats,
-) -> None:
-    """Blur a subset's grey levels, or sharpen them, as the deformed image shows them.
-
-    Both images have the same `blur` (variance in px^2), but a subset that the deformed image shows larger is
-    blurred less there, and one that it shows smaller more: to first order by half of that times the second
-    derivatives. The subset's pixels are off the image's border by more than one.
-    """
-    tensor = blur_tensor(warp[1], warp[2], warp[4], warp[5])
-    for k in range(count):
-        c, r = centre[0] + int(dx[k]), centre[1] + int(dy[k])
-        f[k] += blur * blurred_more(gradient_x, gradient_y, r, c, tensor)
-
-
-@kernel
 def collect(
-    reference: Floats,
-    gradient_x: Floats,
-    gradient_y: Floats,
-    labels: Labels,
-    cx: int,
-    cy: int,
-    radius: int,
-    warp: Floats,
-    dx: Floats,
-    dy: Floats,
-    f: Floats,
-    gx: Floats,
-    gy: Floats,
-    box: Ints,
-) -> int:
+    reference: Floats, gradient_x: Floats, gradient_y: Floats, labels: Labels, cx: int, cy: int, radius: int,
+    warp: Floats, blur: float, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, box: Ints,
+) -> int:  # fmt: skip
     """Fill a subset's offsets, grey levels and slopes and their bounding box; return its number of pixels.
 
     A pixel belongs if it lies on the centre's region and neither it nor its expected counterpart lies at the
     border of its image.
+
+    The grey levels are blurred, or sharpened, as the deformed image shows them. Both images have the same
+    `blur` (variance in px^2), but a subset that the deformed image shows larger is blurred less there, and
+    one that it shows smaller more: to first order by half of that times the second derivatives.
     """
     rows, columns = labels.shape
     label = labels[cy, cx]
@@ -92,6 +63,7 @@ def collect(
     top = max(-radius, RIM - cy)
     bottom = min(radius, rows - 1 - RIM - cy)
     whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -RIM)
+    tensor = blur_tensor(warp[1], warp[2], warp[4], warp[5])
     box[0], box[1], box[2], box[3] = right, left, bottom, top
     count = 0
     width = max(right - left + 1, 0)
@@ -102,14 +74,22 @@ def collect(
         for i in range(width):
             own += labels[row, np.uint64(cx + left + i)] == label
         if whole and own == width:
+            # A loop for each array: one over several looks whether they overlap for longer than it copies.
+            # Unsigned indices need no look at their sign, which would keep this from being vector copies.
             for i in range(width):
-                # Unsigned indices need no look at their sign, which would keep this from being vector copies.
-                column, k = np.uint64(cx + left + i), np.uint64(first + i)
-                dx[k] = left + i
-                dy[k] = j
-                f[k] = reference[row, column]
-                gx[k] = gradient_x[row, column]
-                gy[k] = gradient_y[row, column]
+                dx[np.uint64(first + i)] = left + i
+            for i in range(width):
+                dy[np.uint64(first + i)] = j
+            for i in range(width):
+                f[np.uint64(first + i)] = reference[row, np.uint64(cx + left + i)]
+            for i in range(width):
+                gx[np.uint64(first + i)] = gradient_x[row, np.uint64(cx + left + i)]
+            for i in range(width):
+                gy[np.uint64(first + i)] = gradient_y[row, np.uint64(cx + left + i)]
+            if blur > 0.0:
+                for i in range(width):
+                    more = blurred_more(gradient_x, gradient_y, cy + j, cx + left + i, tensor)
+                    f[np.uint64(first + i)] += blur * more
             count += width
         elif own > 0:
             for i in range(left, right + 1):
@@ -121,6 +101,8 @@ def collect(
                 dx[count] = i
                 dy[count] = j
                 f[count] = reference[row, column]
+                if blur > 0.0:
+                    f[count] += blur * blurred_more(gradient_x, gradient_y, cy + j, cx + i, tensor)
                 gx[count] = gradient_x[row, column]
                 gy[count] = gradient_y[row, column]
                 count += 1

@@ -14,7 +14,8 @@ import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
-from sms_jobs.metrology.deformation.matching.correlation import Noise, PreparedImages
+from sms_jobs.metrology.deformation.matching import window_maps
+from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
 from sms_jobs.metrology.images.masks import box_of, narrowed
 from sms_jobs.metrology.images.smoothing import (
@@ -160,47 +161,49 @@ def _left_over(
 
     Means and gain are those of the `trusted` pixels: one that shows something else is no light.
     """
-    weight = np.maximum(_means(trusted.astype(np.float64), radius), 1e-12)
+    f = np.ascontiguousarray(f)
+    products = tuple(np.empty(f.shape) for _ in range(4))
+    window_maps.trusted_products(f, g, trusted, *products)
+    weight = _means(trusted.astype(np.float64), radius)
+    residual, gain, texture = (np.empty(f.shape) for _ in range(3))
+    f_means, g_means, gg, fg = (_means(one, radius) for one in products)
+    window_maps.without_light(f, g, known, weight, (f_means, g_means, gg, fg), residual, gain, texture)
+    return residual, gain, texture
 
-    def mean(values: Floats) -> Floats:
-        return np.asarray(_means(np.where(trusted, values, 0.0), radius) / weight)
 
-    f_mean, g_mean = mean(f), mean(g)
-    gg = mean(g * g) - g_mean**2
-    gain = np.where(gg > 0.0, (mean(f * g) - f_mean * g_mean) / np.where(gg > 0.0, gg, 1.0), 0.0)
-    return np.where(known, f - f_mean - gain * (g - g_mean), 0.0), gain, np.where(known, f - f_mean, 0.0)
-
-
-def _mean_square(asked: Floats, spread: Floats, known: Mask, inner: Mask, sizes: _Sizes) -> Floats:
+def _mean_square(
+    asked: Floats, spread: Floats, known: Mask, told: Mask, inner: Mask, sizes: _Sizes
+) -> Floats:
     """Return the mean square of what windows ask for, (rows, columns) in px^2, beyond the variance by noise.
 
     Windows count by what they know. A mean over a square counts where it is significant; that over a larger
     square does so too, as far as the smaller ones leave room for it. What is not `inner` is judged by its
-    smallest square alone, and judges nothing else: there matches are carried to the image's border.
+    smallest square alone, and judges nothing else: there matches are carried to the image's border. That is
+    left out where no displacement is `told` for any such pixel.
     """
     usable = known & np.isfinite(asked) & (spread > 0.0) & (np.abs(asked) < _FAR)
     asked, noise = np.where(usable, asked, 0.0), np.where(usable, spread, 1.0)
     typical = float(np.median(noise[usable])) if usable.any() else 1.0
     # Running sums do not bear weights of very different sizes.
-    weight = np.where(usable, typical / (noise + typical), 0.0) ** 2
+    maps = tuple(np.empty(asked.shape) for _ in range(3))
+    window_maps.weighed(asked, noise, usable & inner, typical, *maps)
     found = np.zeros(asked.shape)
     for scale in sizes.squares:
-        found = _bounded(found, asked, noise, np.where(inner, weight, 0.0), scale, sizes.window)
-    at_border = _bounded(found, asked, noise, weight, sizes.squares[-1], sizes.window)
-    found = np.where(inner, found, at_border)
+        found = _bounded(found, maps, scale, sizes.window)
+    if (told & ~inner).any():
+        window_maps.weighed(asked, noise, usable, typical, *maps)
+        found = np.where(inner, found, _bounded(found, maps, sizes.squares[-1], sizes.window))
     alone = usable & (asked**2 > _ALONE**2 * noise)
     return np.maximum(found, np.where(alone, asked**2, 0.0))
 
 
-def _bounded(found: Floats, asked: Floats, noise: Floats, weight: Floats, scale: int, window: int) -> Floats:
+def _bounded(found: Floats, maps: tuple[Floats, ...], scale: int, window: int) -> Floats:
     """Return the mean square over squares, or `found` as far as it has room, where that is no chance."""
-    total = np.maximum(_means(weight, scale), 1e-9)
-    mean = _means(weight * (asked**2 - noise), scale) / total
     independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * window + 1) ** 2)
-    chance = np.maximum(_means((weight * noise) ** 2, scale), 0.0)
-    error = np.sqrt(2.0 * chance / independent) / total
-    bound = np.minimum(found, np.maximum(mean, 0.0) + _AT_MOST * error)
-    return np.maximum(bound, np.where(mean > _ASKED_FOR * error, mean, 0.0))
+    bound = np.empty(found.shape)
+    weight, excess, chance = (_means(one, scale) for one in maps)
+    window_maps.bounded(found, (weight, excess, chance), independent, _ASKED_FOR, _AT_MOST, bound)
+    return bound
 
 
 def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> Floats:
@@ -301,8 +304,13 @@ def _factors(
     )
 
 
-def _variance(noise: Noise, level: Floats) -> Floats:
-    return np.maximum(noise.floor + noise.slope * level, _LEAST_VARIANCE)
+def _variance(images: PreparedImages, f: Floats, g: Floats, gain: Floats) -> Floats:
+    """Return the variance of f - b g by what matching is told of both images' noise."""
+    first, second = images.noise
+    noise = float(first.floor), float(first.slope), float(second.floor), float(second.slope)
+    variance = np.empty(g.shape)
+    window_maps.variances(np.ascontiguousarray(f), g, gain, noise, _LEAST_VARIANCE, variance)
+    return variance
 
 
 def _in_part(
@@ -325,21 +333,19 @@ def _in_part(
     residual, gain, texture = _left_over(f, g, known, _alike(coarse, known), sizes.subset)
     like = _alike(residual, known)
     gx, gy = (np.where(known, slope[part], 0.0) for slope in (images.gradient_x, images.gradient_y))
-    variance = _variance(images.noise[0], f) + gain**2 * _variance(images.noise[1], g)
+    variance = _variance(images, f, g, gain)
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
     asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
     noises = np.where(inner[part], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
+    told = np.asarray(np.isfinite(image[:, *part]).all(axis=0))
     square = np.stack(
-        [_mean_square(a, n, known, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
+        [_mean_square(a, n, known, told, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
     )
     x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
     fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
-    with np.errstate(invalid="ignore"):
-        sure = known & (fine_asked**2 > _ALONE**2 * roughness * spread)
-    square = np.maximum(square, np.where(sure, fine_asked**2, 0.0))
-    step = np.where(np.isfinite(asked) & (np.abs(asked) < _FAR), asked, 0.0)
-    mended = residual - step[0] * gx - step[1] * gy
-    squares = np.where(like, np.minimum(mended**2, residual**2), np.where(known, residual**2, 0.0))
+    window_maps.raise_where_sure(fine_asked, spread, roughness, known, _ALONE, square)
+    squares = np.empty(residual.shape)
+    window_maps.mended_squares(residual, asked, (gx, gy), (like, known), _FAR, squares)
     return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
 
 
@@ -403,8 +409,7 @@ def _asked_for(
     """Return the displacement (2, ..) in px that windows about each pixel ask for, and its variance."""
     xx, xy, yy = (_means(a * b, radius) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
     along_x, along_y = _means(gx * residual, radius), _means(gy * residual, radius)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        determinant = xx * yy - xy**2
-        asked = np.stack([yy * along_x - xy * along_y, xx * along_y - xy * along_x]) / determinant
-        spread = variance / (2 * radius + 1) ** 2 * np.stack([yy, xx]) / determinant
+    asked, spread = np.empty((2, *variance.shape)), np.empty((2, *variance.shape))
+    pixels = (2 * radius + 1) ** 2
+    window_maps.solved((xx, xy, yy), (along_x, along_y), variance, pixels, asked, spread)
     return asked, spread
