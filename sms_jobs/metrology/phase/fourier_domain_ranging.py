@@ -35,7 +35,7 @@ from sms_jobs.metrology.phase.ranging.signal import (
     read_signal,
     window_weights,
 )
-from sms_jobs.metrology.phase.ranging.transform import bit_reversal, transform_length, twiddles
+from sms_jobs.metrology.phase.ranging.transform import transform_length, transform_of
 from sms_jobs.metrology.phase.ranging.weights import fit_weights, sums_of
 from sms_jobs.metrology.phase.response import Response
 
@@ -222,15 +222,13 @@ def _plan(
     padded = -(-sequence.count // PADDING) * PADDING
     shape = window_weights(window, sequence, known_origin=True)
     weights = fit_weights(t, precision, transfer, shape, padded)
-    length = transform_length(sequence.count)
     return Plan(
         sequence.first,
         sequence.count,
         max(3, int(_LEAST_PART * sequence.count)),
         threshold,
         *noise,
-        twiddles(length),
-        bit_reversal(length),
+        transform_of(transform_length(sequence.count)),
         weights,
         sums_of(weights, sequence.first),
         overlap_table(t, precision * transfer**2),

@@ -216,6 +216,22 @@ def test_two_equal_returns_are_found_whatever_one_alone_would_leave(
     assert two <= one + 4
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_as_few_densities_as_can_be_ranged_hold_two_close_returns(
+    count: int, rng: np.random.Generator
+) -> None:
+    densities = tuple(range(count))
+    omega = rng.uniform(-pi, pi, size=(4, 100))
+    apart = rng.uniform(0.8, 1.2, omega.shape) * 2.0 * pi / count
+    frames = recorded(frames_of([omega, omega + apart], [STRONG, 0.5 * STRONG], densities), rng)
+    found = ranged(frames, densities, returns=2)  # many pixels at once
+    # As many values as unknowns, or one more, of returns a bin apart: noise of a fiftieth hides neither.
+    both = found.count == 2
+    assert np.mean(both) > 0.5
+    off = np.abs(wrapped(found.omega[:, None] - np.stack([omega, omega + apart])[None]))
+    assert np.mean(off.min(axis=0)[:, both] < 0.25 * 2.0 * pi / count) > 0.9
+
+
 def test_a_third_return_is_found_and_a_missing_one_is_nan(rng: np.random.Generator) -> None:
     omega = rng.uniform(-pi, pi, size=(4, 100))
     frames = recorded(frames_of([omega, omega + 1.0, omega - 1.4], [STRONG, 700.0, 400.0]), rng)

@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sms_jobs.metrology.phase.ranging import batched_fit, reference_fit
-from sms_jobs.metrology.phase.ranging.batched_fit import GROUP, fit_one, fit_two, overlap_table, write_pairs
+from sms_jobs.metrology.phase.ranging import batched_fit, batched_sums, reference_fit
+from sms_jobs.metrology.phase.ranging.batched_fit import fit_one, fit_two, overlap_table
+from sms_jobs.metrology.phase.ranging.batched_sums import GROUP, new_room, write_pairs
 from sms_jobs.metrology.phase.ranging.reference_fit import AMPLITUDE, OMEGA, SPREAD, VARIANCE
 from sms_jobs.metrology.phase.ranging.transform import LANES
 from sms_jobs.metrology.phase.ranging.weights import (
@@ -107,17 +108,17 @@ def test_one_return_of_many_pixels_is_fitted_as_alone(
     omega = rng.uniform(-pi, pi, (1, LANES))
     z = signals_of(omega, [STRONG], t, weights, rng)
     x, y = batch_of(z)
-    one, registers = np.zeros(batched_fit.SIZE), np.zeros(batched_fit.REGISTERS, np.float32)
+    one = np.zeros(batched_sums.SIZE)
     one[:LANES] = omega[0] + 0.5 / count
-    fit_one(x, y, count, first, weights, sums, one, registers, np.empty(2 * x.size, np.float32))
+    fit_one(x, y, count, first, weights, sums, one, new_room(len(x)))
     for j in range(LANES):
         alone, squares = fitted_alone(z[j], omega[:, j], first, weights, sums)
         sigma = NOISE * np.sqrt(alone[0, VARIANCE])
         # The cube of the last step is left, which times s is below 0.1: at 25 densities a thirtieth of sigma.
-        assert abs(one[batched_fit.OMEGA + j] - alone[0, OMEGA]) < 0.05 * sigma
-        assert one[batched_fit.AMPLITUDE + j] == pytest.approx(alone[0, AMPLITUDE], rel=1e-4)  # sigma: 3e-3
-        assert one[batched_fit.SQUARES + j] == pytest.approx(squares, rel=1e-4)
-        spread = -2.0 * one[batched_fit.FALL + j] / (alone[0, AMPLITUDE] * sums.spread)
+        assert abs(one[batched_sums.OMEGA + j] - alone[0, OMEGA]) < 0.05 * sigma
+        assert one[batched_sums.AMPLITUDE + j] == pytest.approx(alone[0, AMPLITUDE], rel=1e-4)  # sigma: 3e-3
+        assert one[batched_sums.SQUARES + j] == pytest.approx(squares, rel=1e-4)
+        spread = -2.0 * one[batched_sums.FALL + j] / (alone[0, AMPLITUDE] * sums.spread)
         assert spread == pytest.approx(alone[0, SPREAD], abs=1e-3 / count**2)
 
 
@@ -131,16 +132,15 @@ def test_two_returns_of_many_pixels_are_fitted_as_alone(
     omega = rng.uniform(-pi, pi, (1, LANES)) + np.array([[0.0], [apart * one_bin]])
     z = signals_of(omega, [STRONG, 0.5 * STRONG], t, weights, rng)
     x, y = batch_of(z)
-    pair, registers = np.zeros(batched_fit.PAIR_SIZE), np.zeros(2 * batched_fit.REGISTERS, np.float32)
-    size = batched_fit.SIZE
+    pair, room = np.zeros(batched_fit.PAIR_SIZE), new_room(len(x))
+    size = batched_sums.SIZE
     for i, amplitude in enumerate((STRONG, 0.5 * STRONG)):
         pair[i * size : i * size + LANES] = omega[i] + (0.02 - 0.04 * i) * one_bin
-        pair[i * size + batched_fit.AMPLITUDE :][:LANES] = amplitude
+        pair[i * size + batched_sums.AMPLITUDE :][:LANES] = amplitude
     table = overlap_table(t, weights.v[0, :count].astype(np.float64))
     every, variance = np.ones(LANES, np.bool_), np.full(LANES, NOISE**2)
-    pairs = np.empty(2 * x.size, np.float32)
-    write_pairs(x.reshape(-1), y.reshape(-1), weights.u[0], pairs)
-    fit_two(x, y, count, first, weights, sums, table, 12, every, variance, pair, registers, pairs)
+    write_pairs(x.reshape(-1), y.reshape(-1), weights.u[0], room.pairs)
+    fit_two(x, y, count, first, weights, sums, table, 12, False, every, variance, pair, room)
     for j in range(LANES):
         alone, squares = fitted_alone(z[j], omega[:, j], first, weights, sums)
         for i in range(2):
@@ -148,10 +148,12 @@ def test_two_returns_of_many_pixels_are_fitted_as_alone(
             sigma = NOISE * np.sqrt(alone[i, VARIANCE])
             # Both stop when a step gains less than 0.01 in chi-square; where returns are close, what is left
             # is more than the square of that.
-            assert abs(pair[o + batched_fit.OMEGA] - alone[i, OMEGA]) < (0.1 if apart < 1.0 else 0.02) * sigma
-            assert pair[o + batched_fit.AMPLITUDE] == pytest.approx(alone[i, AMPLITUDE], rel=0.01)
-            cofactor = pair[batched_fit.VARIANCE + j] / pair[o + batched_fit.AMPLITUDE] ** 2
+            assert (
+                abs(pair[o + batched_sums.OMEGA] - alone[i, OMEGA]) < (0.1 if apart < 1.0 else 0.02) * sigma
+            )
+            assert pair[o + batched_sums.AMPLITUDE] == pytest.approx(alone[i, AMPLITUDE], rel=0.01)
+            cofactor = pair[batched_fit.VARIANCE + j] / pair[o + batched_sums.AMPLITUDE] ** 2
             assert cofactor == pytest.approx(alone[i, VARIANCE], rel=0.02)
-            spread = -2.0 * pair[o + batched_fit.FALL] / (alone[i, AMPLITUDE] * sums.spread)
+            spread = -2.0 * pair[o + batched_sums.FALL] / (alone[i, AMPLITUDE] * sums.spread)
             assert spread == pytest.approx(alone[i, SPREAD], abs=0.02 / count**2)
-        assert pair[batched_fit.SQUARES + j] == pytest.approx(squares, rel=1e-3)
+        assert pair[batched_sums.SQUARES + j] == pytest.approx(squares, rel=1e-3)

@@ -14,20 +14,23 @@ import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import kernel
-from sms_jobs.metrology.phase.ranging import batched_fit, reference_fit
+from sms_jobs.metrology.phase.ranging import batched_fit, batched_sums, reference_fit
 from sms_jobs.metrology.phase.ranging.batched_fit import (
-    FALL,
     GAIN,
-    GROUP,
     PAIR_SIZE,
-    REGISTERS,
-    SIZE,
     SMALL,
-    SQUARES,
-    STEP_TIMES_S,
     fit_one,
     fit_two,
     is_done,
+)
+from sms_jobs.metrology.phase.ranging.batched_sums import (
+    FALL,
+    GROUP,
+    SIZE,
+    SQUARES,
+    STEP_TIMES_S,
+    Room,
+    new_room,
     write_pairs,
 )
 from sms_jobs.metrology.phase.ranging.close_start import start_close
@@ -53,11 +56,10 @@ _CENTRED = 1.0  # step of omega, times s, at which one return is near enough to 
 
 
 class Scratch(NamedTuple):
-    """What batch after batch uses: peaks, registers and pairs of the fits, and which pixels matter."""
+    """What batch after batch uses: peaks, room of the fits, and which pixels matter."""
 
     peaks: Peaks
-    registers: Singles
-    pairs: Singles
+    room: Room
     active: Mask
 
 
@@ -119,16 +121,17 @@ def _load(row: Row, start: int, lanes: int, batch: Batch) -> None:
 
 
 @kernel
-def _search(plan: Plan, batch: Batch, peaks: Peaks) -> None:
-    """Find the peaks of what `x` and `y` hold."""
-    find_peaks(batch.x, batch.y, plan.weights.search, plan.first, plan.turns, plan.order, peaks)
+def _search_left(plan: Plan, scratch: Scratch) -> None:
+    """Find the peaks of what the fitted returns leave."""
+    left_x, left_y = scratch.room.left_x.reshape(-1, LANES), scratch.room.left_y.reshape(-1, LANES)
+    find_peaks(left_x, left_y, plan.weights.search, plan.first, plan.transform, scratch.peaks)
 
 
 @kernel
 def _fit_one(plan: Plan, batch: Batch, scratch: Scratch) -> None:
     """Fit one return to all pixels; those are resolved whose last step was small.
 
-    Small is also what is small against its own standard deviation. `x` and `y` become what is left.
+    Small is also what is small against its own standard deviation.
     """
     single, status, significant, variances = batch.single, batch.status, batch.significant, batch.variance
     single[:LANES] = scratch.peaks.omega
@@ -140,14 +143,13 @@ def _fit_one(plan: Plan, batch: Batch, scratch: Scratch) -> None:
         plan.weights,
         plan.sums,
         single,
-        scratch.registers,
-        scratch.pairs,
+        scratch.room,
     )
     v, vtt = plan.sums.v, plan.sums.vtt
     free = freedom(plan.first, plan.densities, ONE)
     square = plan.threshold * plan.threshold
     for j in range(LANES):
-        a, variance = single[batched_fit.AMPLITUDE + j], variances[j]
+        a, variance = single[batched_sums.AMPLITUDE + j], variances[j]
         floor = max(variance, single[SQUARES + j] / free)
         width = plan.densities * np.sqrt(floor / (a * a * vtt))
         step = abs(single[STEP_TIMES_S + j])
@@ -175,7 +177,7 @@ def _choose_candidates(plan: Plan, batch: Batch, scratch: Scratch) -> int:
     scale, nearest = plan.sums.search, CLOSE_BINS * 2.0 * pi / plan.densities
     chosen = 0
     for j in range(LANES):
-        omega = single[batched_fit.OMEGA + j]
+        omega = single[batched_sums.OMEGA + j]
         active[j] = False
         second, height = omega + 2.0, 0.0
         if status[j] == ONE:
@@ -188,15 +190,15 @@ def _choose_candidates(plan: Plan, batch: Batch, scratch: Scratch) -> int:
             elif not significant[j]:
                 status[j] = NONE
         chosen += 1 if active[j] else 0
-        pair[batched_fit.OMEGA + j] = omega
-        pair[batched_fit.AMPLITUDE + j] = single[batched_fit.AMPLITUDE + j]
-        pair[SIZE + batched_fit.OMEGA + j] = second
-        pair[SIZE + batched_fit.AMPLITUDE + j] = max(height, 0.0) / scale
+        pair[batched_sums.OMEGA + j] = omega
+        pair[batched_sums.AMPLITUDE + j] = single[batched_sums.AMPLITUDE + j]
+        pair[SIZE + batched_sums.OMEGA + j] = second
+        pair[SIZE + batched_sums.AMPLITUDE + j] = max(height, 0.0) / scale
     return chosen
 
 
 @kernel
-def _fit_two(plan: Plan, steps: int, most: int, batch: Batch, scratch: Scratch) -> None:
+def _fit_two(plan: Plan, steps: int, alone: bool, most: int, batch: Batch, scratch: Scratch) -> None:
     """Fit two returns to the active pixels; those that converged are resolved, the others deferred."""
     single, pair, status, active, variance = (
         batch.single,
@@ -215,11 +217,11 @@ def _fit_two(plan: Plan, steps: int, most: int, batch: Batch, scratch: Scratch) 
         plan.sums,
         plan.overlaps,
         steps,
+        alone,
         active,
         variance,
         pair,
-        scratch.registers,
-        scratch.pairs,
+        scratch.room,
     )
     free = freedom(plan.first, plan.densities, TWO)
     one_bin, square = 2.0 * pi / plan.densities, plan.threshold * plan.threshold
@@ -227,9 +229,9 @@ def _fit_two(plan: Plan, steps: int, most: int, batch: Batch, scratch: Scratch) 
     for j in range(LANES):
         if not active[j]:
             continue
-        apart = abs(wrapped(pair[SIZE + batched_fit.OMEGA + j] - pair[batched_fit.OMEGA + j]))
-        weaker = min(pair[batched_fit.AMPLITUDE + j], pair[SIZE + batched_fit.AMPLITUDE + j])
-        alone, gained = single[batched_fit.AMPLITUDE + j], single[SQUARES + j] - pair[SQUARES + j]
+        apart = abs(wrapped(pair[SIZE + batched_sums.OMEGA + j] - pair[batched_sums.OMEGA + j]))
+        weaker = min(pair[batched_sums.AMPLITUDE + j], pair[SIZE + batched_sums.AMPLITUDE + j])
+        alone, gained = single[batched_sums.AMPLITUDE + j], single[SQUARES + j] - pair[SQUARES + j]
         least_gain = square * max(variance[j], pair[SQUARES + j] / max(free, 1.0))
         status[j] = DEFERRED
         if (
@@ -250,7 +252,7 @@ def _fit_two(plan: Plan, steps: int, most: int, batch: Batch, scratch: Scratch) 
 @kernel
 def _open_thirds(plan: Plan, free: float, batch: Batch, scratch: Scratch) -> None:
     """Open the pixels again in which two returns leave enough for a third."""
-    _search(plan, batch, scratch.peaks)
+    _search_left(plan, scratch)
     pair, status, variance, height = batch.pair, batch.status, batch.variance, scratch.peaks.height
     unit = np.sqrt(plan.sums.search_noise)
     for j in range(LANES):
@@ -269,14 +271,13 @@ def _resolve(plan: Plan, row: Row, start: int, lanes: int, batch: Batch, scratch
         batch.column[j] = start + j
         batch.variance[j] = row.variance[start + j]
     _load(row, start, lanes, batch)
-    _search(plan, batch, scratch.peaks)
+    find_peaks(batch.x, batch.y, plan.weights.search, plan.first, plan.transform, scratch.peaks)
     _fit_one(plan, batch, scratch)
     if most > ONE:
-        _search(plan, batch, scratch.peaks)
+        _search_left(plan, scratch)
         chosen = _choose_candidates(plan, batch, scratch)
         if chosen > _FEW:
-            _load(row, start, lanes, batch)
-            _fit_two(plan, int(np.int64(_STEPS)), most, batch, scratch)
+            _fit_two(plan, int(np.int64(_STEPS)), bool(np.bool_(True)), most, batch, scratch)
         elif chosen > 0:
             batch.status[scratch.active] = DEFERRED
     for j in range(lanes):
@@ -291,34 +292,36 @@ def _resolve(plan: Plan, row: Row, start: int, lanes: int, batch: Batch, scratch
 
 
 @kernel
-def _defer(row: Row, source: Batch, start: int, lanes: int, target: Batch, filled: int) -> tuple[int, int]:
+def _defer(source: Batch, start: int, lanes: int, target: Batch, filled: int) -> tuple[int, int]:
     """Move deferred pixels, from lane `start` on, to the next free lanes of another batch.
 
-    Their signal is taken as it was read. Returns the lane from which on pixels are still to be moved, since
-    the other batch was full, and the number of lanes that are filled there.
+    Returns the lane from which on pixels are still to be moved, since the other batch was full, and how many
+    of its lanes are filled.
     """
-    signal, x, y = row.signal, target.x, target.y
     status, column, single, pair = source.status, source.column, source.single, source.pair
     to_single, to_pair, to_column = target.single, target.pair, target.column
     significant, variance, close = source.significant, source.variance, source.close
     to_significant, to_variance, to_close = target.significant, target.variance, target.close
-    k = filled
-    for j in range(start, lanes):
-        if status[j] != DEFERRED:
-            continue
-        if k == LANES:
-            return j, k
-        for t in range(signal.shape[1]):
-            x[t, k] = signal[0, t, column[j]]
-            y[t, k] = signal[1, t, column[j]]
+    # Each keeps its lane until its signal is moved.
+    moved, lane, from_lane = 0, start, to_column
+    while lane < lanes and filled + moved < LANES:
+        if status[lane] == DEFERRED:
+            from_lane[filled + moved] = lane
+            moved += 1
+        lane += 1
+    for t in range(source.x.shape[0]):  # in the order in which signals lie in memory
+        for k in range(filled, filled + moved):
+            target.x[t, k] = source.x[t, from_lane[k]]
+            target.y[t, k] = source.y[t, from_lane[k]]
+    for k in range(filled, filled + moved):
+        j = from_lane[k]
         for part in range(0, SIZE, LANES):
             to_single[part + k] = single[part + j]
         for part in range(0, PAIR_SIZE, LANES):
             to_pair[part + k] = pair[part + j]
-        to_column[k], to_variance[k] = column[j], variance[j]
         to_significant[k], to_close[k] = significant[j], close[j]
-        k += 1
-    return lanes, k
+        to_column[k], to_variance[k] = column[j], variance[j]
+    return lane, filled + moved
 
 
 @kernel
@@ -337,11 +340,13 @@ def _resolve_deferred(plan: Plan, row: Row, filled: int, batch: Batch, scratch: 
             batch.close,
             batch.single,
             batch.pair,
-            scratch.registers,
+            scratch.room,
             scratch.peaks,
         )
-        write_pairs(batch.x.reshape(-1), batch.y.reshape(-1), plan.weights.u[0], scratch.pairs)
-        _fit_two(plan, int(np.int64(_MORE_STEPS)), row.estimates.shape[1], batch, scratch)
+        write_pairs(batch.x.reshape(-1), batch.y.reshape(-1), plan.weights.u[0], scratch.room.pairs)
+        _fit_two(
+            plan, int(np.int64(_MORE_STEPS)), bool(np.bool_(False)), row.estimates.shape[1], batch, scratch
+        )
         batch.status[batch.status == DEFERRED] = UNRESOLVED
     _write(plan, row, filled, batch)
 
@@ -364,9 +369,9 @@ def _write(plan: Plan, row: Row, lanes: int, batch: Batch) -> None:
         counts[column], row_squares[column] = count, values[SQUARES + j]
         for i in range(count):
             o = i * SIZE + j
-            a = values[o + batched_fit.AMPLITUDE]
+            a = values[o + batched_sums.AMPLITUDE]
             cofactor = pair[batched_fit.VARIANCE + j] if count == TWO else 1.0 / vtt
-            estimates[column, i, reference_fit.OMEGA] = values[o + batched_fit.OMEGA]
+            estimates[column, i, reference_fit.OMEGA] = values[o + batched_sums.OMEGA]
             estimates[column, i, reference_fit.AMPLITUDE] = a
             estimates[column, i, reference_fit.VARIANCE] = cofactor / (a * a)
             estimates[column, i, reference_fit.SPREAD] = -2.0 * values[o + FALL] / (a * spread)
@@ -381,9 +386,8 @@ def resolve_row(plan: Plan, row: Row, begin: int, end: int) -> None:
     # Nothing is deferred where one return is looked for.
     deferred = _new_batch(plan.densities) if row.estimates.shape[1] > ONE else batch
     scratch = Scratch(
-        new_peaks(plan.order.size),
-        np.zeros(2 * REGISTERS, np.float32),
-        np.empty(2 * batch.x.size, np.float32),
+        new_peaks(plan.transform.order.size),
+        new_room(batch.x.shape[0]),
         np.zeros(LANES, np.bool_),
     )
     # Of this type from the start: Numba compiles what is called with a literal once more for that literal.
@@ -393,7 +397,7 @@ def resolve_row(plan: Plan, row: Row, begin: int, end: int) -> None:
         _resolve(plan, row, start, lanes, batch, scratch)
         lane = int(np.int64(0))
         while lane < lanes:
-            lane, filled = _defer(row, batch, lane, lanes, deferred, filled)
+            lane, filled = _defer(batch, lane, lanes, deferred, filled)
             if filled == LANES:
                 _resolve_deferred(plan, row, filled, deferred, scratch)
                 filled = int(np.int64(0))

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import kernel, summing_kernel
-from sms_jobs.metrology.phase.ranging.batched_fit import (
+from sms_jobs.metrology.phase.ranging.batched_sums import (
     AMPLITUDE,
     COSINE,
-    GROUP,
+    GROUP_COSINE,
+    GROUP_SINE,
     OMEGA,
     SINE,
     SIZE,
-    TURN_COSINE,
-    TURN_SINE,
-    start_rotors,
+    Room,
+    half_turn,
     turn_by_group,
 )
 from sms_jobs.metrology.phase.ranging.transform import LANES, Peaks
@@ -34,11 +34,18 @@ _NODES = 11
 _APART = 0.3  # bins between nodes: they reach 1.5 bins to either side
 
 
+_RUN = 8  # densities that are turned from one to the next in single precision; longer loops are not unrolled
+
+# Parts of registers: what turns exp(i omega t) by one.
+_TURN_COSINE = 0
+_TURN_SINE = LANES
+
+
 class Grid(NamedTuple):
     """Places near a peak: their distance from it in rad, (nodes,), cos and sin of that times t, and pairs.
 
     `turns` is (2, nodes, densities); `shares` (2, nodes) are 1 / (V + C) and 1 / (V - C) of two places that
-    are as many nodes apart, the first of the latter 0.
+    are as many nodes apart, the first of the latter 0; infinite where both are one.
     """
 
     places: Floats
@@ -55,8 +62,25 @@ def grid(densities: Floats, v: Floats, padded: int) -> Grid:
     over = np.cos(np.outer(places - places[0], densities)) @ v
     shares = np.zeros((2, _NODES), np.float32)
     shares[0] = 1.0 / (over[0] + over)
-    shares[1, 1:] = 1.0 / (over[0] - over[1:])
+    gap = over[0] - over[1:]  # nothing where two places are a whole turn apart, and are one
+    shares[1, 1:] = np.divide(1.0, gap, out=np.full(gap.size, np.inf), where=gap > 1e-9 * over[0])
     return Grid(places, turns, shares)
+
+
+@summing_kernel
+def _start_rotors(first: int, estimate: Floats, registers: Singles) -> None:
+    """Set exp(i omega t) to the first density, and what turns it by one and by `_RUN` densities."""
+    for j in range(LANES):
+        c, s = half_turn(0.5 * estimate[OMEGA + j])
+        c, s = c * c - s * s, 2.0 * c * s
+        estimate[COSINE + j] = 1.0 if first == 0 else c
+        estimate[SINE + j] = 0.0 if first == 0 else s
+        registers[_TURN_COSINE + j] = c
+        registers[_TURN_SINE + j] = s
+        for _ in range(3):
+            c, s = c * c - s * s, 2.0 * c * s
+        estimate[GROUP_COSINE + j] = c
+        estimate[GROUP_SINE + j] = s
 
 
 @summing_kernel
@@ -64,11 +88,11 @@ def _turn_back(
     x: Singles, y: Singles, u: Singles, estimate: Floats, registers: Singles, re: Singles, im: Singles
 ) -> None:
     """Write u z exp(-i omega t); all but `u` and the last three are flat."""
-    for t in range(0, x.size // LANES, GROUP):
+    for t in range(0, x.size // LANES, _RUN):
         for j in range(LANES):
             c, s = np.float32(estimate[COSINE + j]), np.float32(estimate[SINE + j])
-            p, q = registers[TURN_COSINE + j], registers[TURN_SINE + j]
-            for k in range(GROUP):
+            p, q = registers[_TURN_COSINE + j], registers[_TURN_SINE + j]
+            for k in range(_RUN):
                 i = np.uint64((t + k) * LANES + j)
                 re[i] = u[t + k] * (x[i] * c + y[i] * s)
                 im[i] = u[t + k] * (y[i] * c - x[i] * s)
@@ -81,10 +105,10 @@ def _sum_turned(part: Singles, rows: int, turns: Singles, out: Singles) -> None:
     """Write the sum over the rows of a flat part, each times its turn."""
     for j in range(LANES):
         out[j] = 0.0
-    for t in range(0, rows, GROUP):
+    for t in range(0, rows, _RUN):
         for j in range(LANES):
             total = np.float32(0.0)
-            for k in range(GROUP):
+            for k in range(_RUN):
                 total += turns[t + k] * part[np.uint64((t + k) * LANES + j)]
             out[j] += total
 
@@ -114,17 +138,17 @@ def start_close(
     close: Mask,
     single: Floats,
     pair: Floats,
-    registers: Singles,
+    room: Room,
     scratch: Peaks,
 ) -> None:
     """Start the `pair` of pixels that are `close` at the two places near their `single` that explain most.
 
     `pair` and `single` are those of `fit_two` and `fit_one`, as are the other parameters.
     """
-    re, im = scratch.spectrum[0].reshape(-1), scratch.spectrum[1].reshape(-1)
+    re, im, registers = room.left_x, room.left_y, room.registers
     best, which = scratch.highest, scratch.place
     rows, middle = x.shape[0], _NODES // 2
-    start_rotors(first, single, registers)
+    _start_rotors(first, single, registers)
     _turn_back(x.reshape(-1), y.reshape(-1), u, single, registers, re, im)
     values = np.empty((_NODES + 1, LANES), np.float32)
     for k in range(middle + 1):

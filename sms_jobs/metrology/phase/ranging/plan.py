@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sms_jobs.metrology.arrays import Floats, Ints, Singles
+from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import kernel
 from sms_jobs.metrology.phase.ranging.close_start import Grid
+from sms_jobs.metrology.phase.ranging.transform import Transform
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
 
 CLOSE_BINS = 1.6  # of 2 pi / s: the peaks of two returns nearer than this are no start for a fit of both
@@ -29,8 +30,8 @@ class Plan(NamedTuple):
         Variance of z at grey level 0, and its growth a grey level.
     unit
         Standard deviation of a frame over that of z.
-    turns, order
-        Of `twiddles` and `bit_reversal`.
+    transform
+        Of `transform_of`.
     weights, sums
         Of pixels that no density is left out of.
     overlaps, grid
@@ -44,8 +45,7 @@ class Plan(NamedTuple):
     variance: float
     slope: float
     unit: float
-    turns: Singles
-    order: Ints
+    transform: Transform
     weights: Weights
     sums: Sums
     overlaps: Floats

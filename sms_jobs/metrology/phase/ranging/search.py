@@ -81,7 +81,7 @@ def _new_buffers(plan: Plan, returns: int) -> Buffers:
     return Buffers(
         np.zeros((plan.densities, LANES), np.float32),
         np.zeros((plan.densities, LANES), np.float32),
-        new_peaks(plan.order.size),
+        new_peaks(plan.transform.order.size),
         np.zeros((LANES, 2, padded), np.float32),
         new_weights(padded),
         np.zeros(LANES, np.int64),
@@ -223,9 +223,7 @@ def _search(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
     for count in range(most):
         if not buffers.searched.any():
             break
-        find_peaks(
-            buffers.x, buffers.y, plan.weights.search, plan.first, plan.turns, plan.order, buffers.peaks
-        )
+        find_peaks(buffers.x, buffers.y, plan.weights.search, plan.first, plan.transform, buffers.peaks)
         for j in range(lanes):
             column = buffers.column[j]
             if not buffers.searched[j] or row.returns[column] > count:

@@ -17,6 +17,10 @@ from sms_jobs.metrology.compilation import summing_kernel
 
 LANES = 64
 
+_ROW = 2 * LANES  # of the transform: real part, imaginary part
+_IMAGINARY = np.uint64(LANES)  # an unsigned index needs no look at its sign, which takes longer than a row
+_NEXT = np.uint64(_ROW)
+
 
 class Peaks(NamedTuple):
     """The transforms of `LANES` pixels and their highest samples.
@@ -24,7 +28,7 @@ class Peaks(NamedTuple):
     Attributes
     ----------
     spectrum
-        Re H(k), (2, N, LANES): the samples with even k and those with odd k.
+        Re H(k), (2 N, LANES).
     highest, place
         (LANES,): the highest sample and its k.
     omega, height
@@ -38,11 +42,32 @@ class Peaks(NamedTuple):
     height: Floats
 
 
+class Transform(NamedTuple):
+    """What a transform of length N looks up.
+
+    Attributes
+    ----------
+    turns
+        cos and sin of pi k / N, (2, N).
+    order
+        Where each input goes, (N,).
+    butterflies
+        The first of four rows, and how far they are apart, of every butterfly of two stages, (2, n).
+    factors
+        cos and sin of its twiddles in the first of its stages and in the second, (4, n).
+    """
+
+    turns: Singles
+    order: Ints
+    butterflies: Ints
+    factors: Singles
+
+
 @summing_kernel
 def new_peaks(length: int) -> Peaks:
     """Return room for the peaks of transforms of a length N."""
     return Peaks(
-        np.empty((2, length, LANES), np.float32),
+        np.empty((2 * length, LANES), np.float32),
         np.empty(LANES, np.float32),
         np.empty(LANES, np.int32),
         np.empty(LANES),
@@ -55,16 +80,25 @@ def transform_length(count: int) -> int:
     return 1 << (count - 1).bit_length()
 
 
-def twiddles(length: int) -> Singles:
-    """Return cos and sin of pi k / N, (2, 2 N)."""
-    angles = pi * np.arange(2 * length) / length
-    return np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
-
-
-def bit_reversal(length: int) -> Ints:
-    """Return where each input of the transform goes, (N,)."""
+def transform_of(length: int) -> Transform:
+    """Return what a transform of a length N, a power of two from 4 on, looks up."""
     bits = length.bit_length() - 1
-    return np.array([int(f"{i:0{bits}b}"[::-1], 2) if bits else 0 for i in range(length)])
+    angles = pi * np.arange(length) / length
+    order = np.array([int(f"{i:0{bits}b}"[::-1], 2) for i in range(length)])
+    half, rows, turns = 2 if bits % 2 else 4, [], []
+    while half < length:
+        for start in range(0, length, 4 * half):
+            rows += [(start + k, half) for k in range(half)]
+            turns += [(pi * k / half, pi * k / (2 * half)) for k in range(half)]
+        half *= 4
+    first, second = np.array(turns).reshape(-1, 2).T
+    factors = np.stack([np.cos(first), np.sin(first), np.cos(second), np.sin(second)])
+    return Transform(
+        np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32),
+        order,
+        np.array(rows, np.int64).reshape(-1, 2).T.copy(),
+        factors.astype(np.float32),
+    )
 
 
 @summing_kernel
@@ -74,63 +108,86 @@ def wrapped(angle: float) -> float:
 
 
 @summing_kernel
-def _butterflies(re: Singles, im: Singles) -> None:
+def _butterflies(rows: Singles, n: int) -> None:
     """Transform neighbouring rows: what a number of stages that is odd begins with."""
-    for a in range(0, re.shape[0], 2):
+    for a in range(0, n, 2):
+        row = np.uint64(a * _ROW)
         for j in range(LANES):
-            xr, xi, yr, yi = re[a + 1, j], im[a + 1, j], re[a, j], im[a, j]
-            re[a, j] = yr + xr
-            im[a, j] = yi + xi
-            re[a + 1, j] = yr - xr
-            im[a + 1, j] = yi - xi
+            i = row + np.uint64(j)
+            k = i + _NEXT
+            yr, yi, xr, xi = rows[i], rows[i + _IMAGINARY], rows[k], rows[k + _IMAGINARY]
+            rows[i] = yr + xr
+            rows[i + _IMAGINARY] = yi + xi
+            rows[k] = yr - xr
+            rows[k + _IMAGINARY] = yi - xi
 
 
 @summing_kernel
-def _transform(re: Singles, im: Singles, turns: Singles) -> None:
-    """Transform (N, LANES) in place from bit-reversed order: H_k = sum z_m exp(-2 pi i k m / N).
+def _first_stages(rows: Singles, n: int) -> None:
+    """Transform every four rows, whose twiddles are 1 and -i."""
+    for a in range(0, n, 4):
+        row = np.uint64(a * _ROW)
+        for j in range(LANES):
+            i = row + np.uint64(j)
+            k = i + _NEXT
+            m = k + _NEXT
+            o = m + _NEXT
+            yr, yi, xr, xi = rows[i], rows[i + _IMAGINARY], rows[k], rows[k + _IMAGINARY]
+            wr, wi, zr, zi = rows[m], rows[m + _IMAGINARY], rows[o], rows[o + _IMAGINARY]
+            hr, hi, kr, ki = yr + xr, yi + xi, yr - xr, yi - xi
+            fr, fi, gr, gi = wr + zr, wi + zi, wr - zr, wi - zi
+            rows[i], rows[i + _IMAGINARY] = hr + fr, hi + fi
+            rows[m], rows[m + _IMAGINARY] = hr - fr, hi - fi
+            rows[k], rows[k + _IMAGINARY] = kr + gi, ki - gr
+            rows[o], rows[o + _IMAGINARY] = kr - gi, ki + gr
 
-    Two stages at a time, so that every row is read and written half as often. Rows are named by their number,
-    not by slices: a slice costs more than a row of butterflies.
+
+@summing_kernel
+def _transform(rows: Singles, n: int, butterflies: Ints, factors: Singles) -> None:
+    """Transform n rows in place from bit-reversed order: H_k = sum z_m exp(-2 pi i k m / N).
+
+    `rows` is flat, the imaginary part of each behind its real part: the compiler need not ask whether these
+    overlap. Two stages at a time, so that every row is read and written half as often.
     """
-    n = re.shape[0]
-    half, stages = 1, 0
+    stages = 0
     while n >> stages > 1:
         stages += 1
     if stages % 2 == 1:
-        _butterflies(re, im)
-        half = 2
-    while half < n:
-        stride = n // (2 * half)  # pi k / N per twiddle of the second stage
-        for start in range(0, n, 4 * half):
-            for k in range(half):
-                a, b = start + k, start + k + half
-                d, e = b + half, b + 2 * half
-                c, s = turns[0, 2 * k * stride], turns[1, 2 * k * stride]
-                p, q = turns[0, k * stride], turns[1, k * stride]
-                for j in range(LANES):
-                    xr, xi = c * re[b, j] + s * im[b, j], c * im[b, j] - s * re[b, j]
-                    yr, yi = re[a, j], im[a, j]
-                    zr, zi = c * re[e, j] + s * im[e, j], c * im[e, j] - s * re[e, j]
-                    wr, wi = re[d, j], im[d, j]
-                    # A twiddle that is a quarter turn further is this one with its parts exchanged.
-                    fr, fi = wr + zr, wi + zi
-                    gr, gi = wr - zr, wi - zi
-                    fr, fi = p * fr + q * fi, p * fi - q * fr
-                    gr, gi = p * gi - q * gr, -p * gr - q * gi
-                    hr, hi, kr, ki = yr + xr, yi + xi, yr - xr, yi - xi
-                    re[a, j], im[a, j] = hr + fr, hi + fi
-                    re[d, j], im[d, j] = hr - fr, hi - fi
-                    re[b, j], im[b, j] = kr + gr, ki + gi
-                    re[e, j], im[e, j] = kr - gr, ki - gi
-        half *= 4
+        _butterflies(rows, n)
+    else:
+        _first_stages(rows, n)
+    for i in range(butterflies.shape[1]):
+        row, step = np.uint64(butterflies[0, i] * _ROW), np.uint64(butterflies[1, i] * _ROW)
+        c, s, p, q = factors[0, i], factors[1, i], factors[2, i], factors[3, i]
+        for j in range(LANES):
+            a = row + np.uint64(j)
+            b = a + step
+            d = b + step
+            e = d + step
+            yr, yi, wr, wi = rows[a], rows[a + _IMAGINARY], rows[d], rows[d + _IMAGINARY]
+            xr, xi, zr, zi = rows[b], rows[b + _IMAGINARY], rows[e], rows[e + _IMAGINARY]
+            xr, xi = c * xr + s * xi, c * xi - s * xr
+            zr, zi = c * zr + s * zi, c * zi - s * zr
+            # A twiddle that is a quarter turn further is this one with its parts exchanged.
+            fr, fi = wr + zr, wi + zi
+            gr, gi = wr - zr, wi - zi
+            fr, fi = p * fr + q * fi, p * fi - q * fr
+            gr, gi = p * gi - q * gr, -p * gr - q * gi
+            hr, hi, kr, ki = yr + xr, yi + xi, yr - xr, yi - xi
+            rows[a], rows[a + _IMAGINARY] = hr + fr, hi + fi
+            rows[d], rows[d + _IMAGINARY] = hr - fr, hi - fi
+            rows[b], rows[b + _IMAGINARY] = kr + gr, ki + gi
+            rows[e], rows[e + _IMAGINARY] = kr - gr, ki - gi
 
 
 @summing_kernel
-def _combine(x: Singles, y: Singles, m: int, wx: float, wy: float, out: Singles, i: int) -> None:
-    """Add wx x_m + wy y_m to a row."""
+def _combine(x: Singles, y: Singles, m: int, wx: float, wy: float, rows: Singles, place: int) -> None:
+    """Add wx x_m + wy y_m to a place of the rows."""
     p, q = np.float32(wx), np.float32(wy)
+    source, target = np.uint64(m * LANES), np.uint64(place)
     for j in range(LANES):
-        out[i, j] += p * x[m, j] + q * y[m, j]
+        n = np.uint64(j)
+        rows[target + n] += p * x[source + n] + q * y[source + n]
 
 
 @summing_kernel
@@ -143,40 +200,45 @@ def _combine_two(
     wk: float,
     c: float,
     s: float,
-    re: Singles,
-    im: Singles,
+    rows: Singles,
     i: int,
     o: int,
 ) -> None:
-    """Write U_m to row i and U_(N-m) to row o from X_m and X_(N-m): see `real_peaks`.
+    """Write U_m to row i and U_(N-m) to row o from X_m and X_(N-m): see `find_peaks`.
 
-    m, k are their rows of the signal, wm, wk half their weights, c and s of pi m / N.
+    m, k are their rows of the signal, which is flat, wm, wk half their weights, c and s of pi m / N.
     """
     a, b, d = np.float32(wm * (1.0 + s)), np.float32(wm * (1.0 - s)), np.float32(wm * c)
     e, f, g = np.float32(wk * (1.0 + s)), np.float32(wk * (1.0 - s)), np.float32(wk * c)
+    one, other = np.uint64(m * LANES), np.uint64(k * LANES)
+    this, that = np.uint64(i * _ROW), np.uint64(o * _ROW)
     for j in range(LANES):
-        p, q, r, t = x[m, j], y[m, j], x[k, j], y[k, j]
-        re[i, j] = (a * p - d * q) + (f * r - g * t)
-        im[i, j] = (d * p + a * q) - (g * r + f * t)
-        re[o, j] = (b * p + d * q) + (e * r + g * t)
-        im[o, j] = (d * p - b * q) + (e * t - g * r)
+        n = np.uint64(j)
+        p, q, r, t = x[one + n], y[one + n], x[other + n], y[other + n]
+        rows[this + n] = (a * p - d * q) + (f * r - g * t)
+        rows[this + n + _IMAGINARY] = (d * p + a * q) - (g * r + f * t)
+        rows[that + n] = (b * p + d * q) + (e * r + g * t)
+        rows[that + n + _IMAGINARY] = (d * p - b * q) + (e * t - g * r)
 
 
 @summing_kernel
-def _keep_highest(values: NDArray[np.int32], interleave: int, offset: int, best: NDArray[np.int32]) -> None:
-    """Keep the highest of the rows, the bits of single floats, with its place in the lowest bits.
+def _keep_highest(values: NDArray[np.int32], n: int, best: NDArray[np.int32]) -> None:
+    """Keep the highest of 2 n rows, the bits of single floats, with its place in the lowest bits.
 
     Such bits order as the floats do where the highest is positive, and what the place overwrites is a part
     in 2^15 of the value: one integer maximum finds value and place.
     """
-    n = values.shape[0]
-    keep = np.int32(-2 * n)
-    step = np.int32(interleave)
-    for k in range(0, n - n % 2, 2):
-        a = np.int32(interleave * k + offset)
-        b = a + step
+    keep, one = np.int32(-2 * n), np.int32(1)
+    for place in range(0, 2 * n, 4):
+        a = np.int32(place)
+        b, c, d = np.int32(a + one), np.int32(a + one + one), np.int32(a + one + one + one)
+        row = np.uint64(place * LANES)
         for j in range(LANES):
-            best[j] = max(best[j], max((values[k, j] & keep) | a, (values[k + 1, j] & keep) | b))
+            i = row + np.uint64(j)
+            low = max(np.int32((values[i] & keep) | a), np.int32((values[i + _IMAGINARY] & keep) | b))
+            k = i + _NEXT
+            high = max(np.int32((values[k] & keep) | c), np.int32((values[k + _IMAGINARY] & keep) | d))
+            best[j] = max(best[j], max(low, high))
 
 
 @summing_kernel
@@ -195,15 +257,15 @@ def _interpolate(peaks: Peaks) -> None:
     A peak of Re H is a sin(u) / u sampled at u = pi apart, for which the neighbour's share is the offset.
     """
     place, highest, omega, height = peaks.place, peaks.highest, peaks.omega, peaks.height
-    n, samples = peaks.spectrum.shape[1], peaks.spectrum.reshape(-1)
+    n, samples = peaks.spectrum.shape[0] // 2, peaks.spectrum.reshape(-1)
     # What is looked up is looked up first: the loop that computes with it is then vectorised.
     for j in range(LANES):
         k = place[j]
         before, after = (k - 1) & (2 * n - 1), (k + 1) & (2 * n - 1)  # n is a power of two
         # `_keep_highest` has put places into the last bits.
-        highest[j] = samples[np.uint64(((k & 1) * n + (k >> 1)) * LANES + j)]
-        omega[j] = samples[np.uint64(((before & 1) * n + (before >> 1)) * LANES + j)]
-        height[j] = samples[np.uint64(((after & 1) * n + (after >> 1)) * LANES + j)]
+        highest[j] = samples[np.uint64(k * LANES + j)]
+        omega[j] = samples[np.uint64(before * LANES + j)]
+        height[j] = samples[np.uint64(after * LANES + j)]
     for j in range(LANES):
         here, left, right = highest[j], omega[j], height[j]
         beside = max(max(left, right), 0.0)
@@ -219,8 +281,7 @@ def find_peaks(
     y: Singles,
     weights: Singles,
     first: int,
-    turns: Singles,
-    order: Ints,
+    transform: Transform,
     peaks: Peaks,
 ) -> None:
     """Find the highest Re H(k), k = 0 .. 2N-1, of every pixel, H(k) = sum w_t z_t exp(-i pi k t / N).
@@ -237,36 +298,36 @@ def find_peaks(
         (densities or more,), 0 beyond the densities.
     first
         t of the first density.
-    turns, order
-        Of `twiddles` and `bit_reversal`.
+    transform
+        Of `transform_of`.
     peaks
         Of `new_peaks`; is written.
     """
+    turns, order = transform.turns, transform.order
     n = order.size
     last = first + x.shape[0] - 1
-    re, im = peaks.spectrum[0], peaks.spectrum[1]
+    rows, flat_x, flat_y = peaks.spectrum.reshape(-1), x.reshape(-1), y.reshape(-1)
     for m in range(1, n // 2):
         k = n - m
         wm = 0.5 * weights[m - first] if first <= m <= last else 0.0
         wk = 0.5 * weights[k - first] if first <= k <= last else 0.0
         r, q = min(max(m, first), last) - first, min(max(k, first), last) - first
-        _combine_two(x, y, r, q, wm, wk, turns[0, m], turns[1, m], re, im, order[m], order[k])
+        _combine_two(flat_x, flat_y, r, q, wm, wk, turns[0, m], turns[1, m], rows, order[m], order[k])
     for m in (0, n // 2):
-        re[order[m]] = 0.0
-        im[order[m]] = 0.0
+        rows[order[m] * _ROW : (order[m] + 1) * _ROW] = 0.0
     for m in (0, n // 2, n):
         if first <= m <= last:
             r, w = m - first, weights[m - first]
-            i = order[m % n]
+            real = order[m % n] * _ROW
+            imaginary = real + LANES
             if m == n // 2:
-                _combine(x, y, r, w, 0.0, re, i)
-                _combine(x, y, r, 0.0, w, im, i)
+                _combine(flat_x, flat_y, r, w, 0.0, rows, real)
+                _combine(flat_x, flat_y, r, 0.0, w, rows, imaginary)
             else:
-                _combine(x, y, r, w, 0.0, re, i)
-                _combine(x, y, r, w if m == 0 else -w, 0.0, im, i)
-    _transform(re, im, turns)
+                _combine(flat_x, flat_y, r, w, 0.0, rows, real)
+                _combine(flat_x, flat_y, r, w if m == 0 else -w, 0.0, rows, imaginary)
+    _transform(rows, n, transform.butterflies, transform.factors)
     kept = np.full(LANES, np.iinfo(np.int32).min, np.int32)
-    _keep_highest(re.view(np.int32), 2, 0, kept)
-    _keep_highest(im.view(np.int32), 2, 1, kept)
+    _keep_highest(rows.view(np.int32), n, kept)
     _take_places(n, kept, peaks.highest, peaks.place)
     _interpolate(peaks)
