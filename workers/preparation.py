@@ -6,6 +6,7 @@ that is just being compiled.
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import threading
@@ -49,6 +50,7 @@ def _prepare(lifeline: int) -> None:
     left_file = SETTINGS.kernels_left_file
     left_file.unlink(missing_ok=True)
     os.nice(_NICE)
+    gc.disable()  # a tenth of compiling would be looking for garbage, and this process ends with it
     first = True
     for left in kernels.compile_all(kernels.listed(), SETTINGS.workers):
         if first:

@@ -421,7 +421,8 @@ def _average_over_pixels(
             for k in range(weights.shape[0]):
                 for j in range(right - left):
                     total[j] += weights[k] * sorted_line[k % SUBSAMPLES, j + k // SUBSAMPLES]
-            out[c, i, left:right] = total
+            for j in range(right - left):
+                out[c, i, left + j] = total[j]
 
 
 @kernel

@@ -102,6 +102,9 @@ def compile_all(kernels: Sequence[Kernel], processes: int) -> Iterator[int]:
     How many are still missing, whenever that has changed.
     """
     left = missing(kernels)
+    if left:
+        # What Numba loads before it compiles anything: once, not in each process.
+        left[0].dispatcher.targetctx.refresh()
     helpers = [_forked(left) for _ in range(min(processes, len(left)) - 1)]
     yield from _compiled(left)
     for helper in helpers:

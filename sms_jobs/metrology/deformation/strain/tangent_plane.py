@@ -184,7 +184,9 @@ def _strain_rows(
                     if not sums[0] >= minimum:
                         continue
                     central_moments(sums, scatter, mixed)
-                    turned[:] = scatter
+                    for k in range(3):
+                        for m in range(3):
+                            turned[k, m] = scatter[k, m]
                     if not tangent_frame(
                         turned, (sums[NORMAL], sums[NORMAL + 1], sums[NORMAL + 2]), x_axis, vectors, frame
                     ):
