@@ -231,7 +231,7 @@ def _fit_two(plan: Plan, steps: int, alone: bool, most: int, batch: Batch, scrat
             continue
         apart = abs(wrapped(pair[SIZE + batched_sums.OMEGA + j] - pair[batched_sums.OMEGA + j]))
         weaker = min(pair[batched_sums.AMPLITUDE + j], pair[SIZE + batched_sums.AMPLITUDE + j])
-        alone, gained = single[batched_sums.AMPLITUDE + j], single[SQUARES + j] - pair[SQUARES + j]
+        strength, gained = single[batched_sums.AMPLITUDE + j], single[SQUARES + j] - pair[SQUARES + j]
         least_gain = square * max(variance[j], pair[SQUARES + j] / max(free, 1.0))
         status[j] = DEFERRED
         if (
@@ -240,7 +240,7 @@ def _fit_two(plan: Plan, steps: int, alone: bool, most: int, batch: Batch, scrat
             and is_done(pair[STEP_TIMES_S + j], pair[GAIN + j], variance[j])
         ):
             # What hides in much that is left is for the search to find.
-            if gained > least_gain and (significant[j] or alone * alone * plan.sums.v > least_gain):
+            if gained > least_gain and (significant[j] or strength * strength * plan.sums.v > least_gain):
                 status[j] = TWO
                 found += 1
             elif significant[j] and not is_excessive(plan.threshold, free, variance[j], pair[SQUARES + j]):
