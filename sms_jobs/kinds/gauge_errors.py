@@ -44,6 +44,7 @@ def errors_of_gauge(
         subset_radius_px=radius_in_time(moved),
         order=cast(ShapeOrder, 1 if moved.match_order is None else moved.match_order),
         disc_radius_px=disc_radius_px,
+        match_margin_px=moved.match_margin_px or 0,
         shape=shape,
         window=window,
     )

@@ -248,9 +248,10 @@ class DisplacementField:
 
     Attributes
     ----------
-    match_radius_px, match_order
-        Of the subsets that were matched in time, and of their deformation. `subset_radius_px` is the larger
-        of that radius and that of the subsets of which shape was made. None where that is not told.
+    match_radius_px, match_order, match_margin_px
+        Of the subsets that were matched in time, of their deformation, and of the rim of regions of which
+        they use nothing. `subset_radius_px` is the larger of that radius and that of the subsets of which
+        shape was made. None where that is not told.
     """
 
     view: str
@@ -275,6 +276,7 @@ class DisplacementField:
     resolution: Singles | None = array(UNIT, _RESOLUTION, default=None)
     match_radius_px: int | None = None
     match_order: int | None = None
+    match_margin_px: int | None = None
 
 
 StrainMeasure = Literal["green-lagrange", "small"]

@@ -147,7 +147,7 @@ def field_in_space(
         radius,
         found.bias.astype(np.float32),
         **_told_resolution(resolution, before, reason, radius),
-        **_told_subsets(parameters),
+        **_told_subsets(before, parameters),
     )
 
 
@@ -194,9 +194,13 @@ def _order(parameters: CorrelateParameters) -> int:
     return 0 if parameters.method == "fourier-newton" else parameters.shape_order
 
 
-def _told_subsets(parameters: CorrelateParameters) -> dict[str, Any]:
+def _told_subsets(before: TexturedState, parameters: CorrelateParameters) -> dict[str, Any]:
     """Return what a record says of the subsets that were matched in time, which adaptive ones begin with."""
-    return {"match_radius_px": parameters.subset_radius_px, "match_order": _order(parameters)}
+    return {
+        "match_radius_px": parameters.subset_radius_px,
+        "match_order": _order(parameters),
+        "match_margin_px": parameters.edge_margin_px if before.surface.has_depth else 0,
+    }
 
 
 def _shape(state: TexturedState) -> StateShape:
@@ -242,7 +246,7 @@ def field_in_plane(
         parameters.subset_radius_px,
         biased.astype(np.float32),
         **_told_resolution(resolution, before, reason, parameters.subset_radius_px),
-        **_told_subsets(parameters),
+        **_told_subsets(before, parameters),
     )
 
 

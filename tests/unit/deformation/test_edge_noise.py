@@ -1,4 +1,4 @@
-"""Beside an edge errors that go together disturb strain more: as much as is taken for noise there."""
+"""Beside an edge errors that go together disturb strain more: as much as is stated there."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from sms_jobs.metrology.deformation.fields.averaging import average_in_region
-from sms_jobs.metrology.deformation.fields.cells import cell_means
 from sms_jobs.metrology.deformation.fields.displacement import ImagePoints, blend_matches
-from sms_jobs.metrology.deformation.strain.edge_noise import edges_of, noise_at_edges
-from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, shared_errors
+from sms_jobs.metrology.deformation.strain.strain_errors import shared_errors
 from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 ROWS, COLUMNS, RADIUS, DISC = 130, 100, 6, 9
@@ -19,14 +17,6 @@ TRIALS = 40
 def flat() -> np.ndarray:
     row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(np.float64)
     return np.stack([column, -row, np.zeros_like(row)])
-
-
-def at_edges(
-    own: np.ndarray, match: np.ndarray, errors: SharedErrors, xyz: np.ndarray, labels: np.ndarray
-) -> np.ndarray:
-    """Return what edges make of the variance of strain along x."""
-    cells = cell_means(xyz, xyz, errors.own, labels, 1)
-    return noise_at_edges(own, match, edges_of(labels, cells, np.array([1.0, 0.0, 0.0]), errors), errors, 1.0)
 
 
 def matched(noise: np.ndarray, last: int) -> ImagePoints:
@@ -70,10 +60,10 @@ def test_the_match_disturbs_strain_beside_an_edge_as_is_computed(rng: np.random.
             averaging_radius_px=0.0,
             subset_radius_px=RADIUS,
             disc_radius_px=DISC,
+            match_margin_px=outermost - last,
         )
         found = surface_strain(flat(), moved, errors, labels, gauge_length=2 * DISC, green_lagrange=False)
-        noise = found.sigma**2 - found.bias**2
-        squares.append(found.strain**2 / at_edges(0.0 * noise, noise, errors, flat(), labels))
+        squares.append(found.strain**2 / (found.sigma**2 - found.bias**2))
     ratio = np.sqrt(np.mean(squares, axis=0)[:, 40:-40].mean(axis=1))
     for distance in (0, 3, 6, 9):
         np.testing.assert_allclose(ratio[:, outermost - distance], 1.0, atol=0.25)
@@ -103,8 +93,7 @@ def test_the_average_disturbs_strain_beside_an_edge_as_is_computed(
             averaged, cloud, averaging_radius_px=radius, subset_radius_px=0.0, disc_radius_px=6.0
         )
         found = surface_strain(xyz, moved, errors, labels, gauge_length=12.0, green_lagrange=False)
-        noise = found.sigma**2 - found.bias**2
-        squares.append(found.strain**2 / at_edges(noise, 0.0 * noise, errors, xyz, labels))
+        squares.append(found.strain**2 / (found.sigma**2 - found.bias**2))
     mean = np.mean(squares, axis=0)
     ratio = np.sqrt((np.swapaxes(mean, 1, 2) if turned else mean)[:, 15:-15].mean(axis=1))
     beside = [outermost - distance for distance in (1, 2, 3, 4, 5, 6)]

@@ -19,9 +19,8 @@ from sms_jobs.metrology.deformation.strain.edge_propagation import EdgeFactors, 
 from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
 from sms_jobs.metrology.images.masks import distance_inside
 
-# Of how many px nothing is used: at the border of the image, and at a region's edge, where a match has its
-# margin, and what the filter of the texture brings in from beyond.
-_RIMS_OF_SHAPE, _RIMS_OF_MATCH = (0.0, 1.0), (float(RIM), 3.0)
+# Of how many px no average uses anything: at the border of the image, and at a region's edge.
+_RIMS_OF_SHAPE = (0.0, 1.0)
 _PER_PX = 4.0  # distances that are told to a pixel
 _BETWEEN = 5  # px: regions that are nearer have an edge, as at a crack
 
@@ -107,9 +106,10 @@ def _factors(shared: SharedErrors, sort: int, part: float) -> tuple[EdgeFactors 
     """
     disc = part * shared.disc_radius_px
     shape, match = shared.averaging_radius_px, shared.subset_radius_px
+    rim = float(RIM) if sort == 0 else shared.match_margin_px  # of the image, of a region
     return (
         edge_factors("shape", shape, _RIMS_OF_SHAPE[sort], disc) if shape > 0.0 else None,
-        edge_factors("match", match, _RIMS_OF_MATCH[sort], disc) if match > 0.0 else None,
+        edge_factors("match", match, rim, disc) if match > 0.0 else None,
     )
 
 

@@ -272,21 +272,17 @@ def strain_over_squares(
     cells = cell_means(xyz, displacement, errors.own, used, max(1, side // _CELLS))
     edges = edges_of(labels, cells, axis, errors)
 
-    def fitted(own: SharedErrors, side: int, step: int) -> tuple[Floats, Floats, Floats]:
-        """Return strain over squares of a side and its variance by noise, of every `step`-th pixel.
-
-        The variance as if far from edges, and with what these add.
-        """
+    def fitted(own: SharedErrors, side: int, step: int) -> tuple[Floats, Floats]:
+        """Return strain over squares of a side and its variance by noise, of every `step`-th pixel."""
         found = _strained(
             xyz, displacement, own, used, cells, side, axis, green_lagrange, least_cosine, threads
         )
         strain, by_own, by_match = (
             np.ascontiguousarray(each[:, step // 2 :: step, step // 2 :: step]) for each in found
         )
-        at_edges = noise_at_edges(by_own, by_match, edges.sampled(step), own, 1.0, threads)
-        return strain, by_own + by_match, at_edges
+        return strain, noise_at_edges(by_own, by_match, edges.sampled(step), own, 1.0, threads)
 
-    strain, variance, at_edges = fitted(errors, side, 1)
+    strain, variance = fitted(errors, side, 1)
     radius = side / np.sqrt(2.0)
     middle, least = (pixel_pitch(xyz, used, quantile) for quantile in (0.5, 0.01))
     reach = radius * middle / least
@@ -294,8 +290,7 @@ def strain_over_squares(
     shorter = []
     for part in SHORTER:
         short = max(3, 2 * int(part * side / 2.0) + 1)
-        own, _, noise = fitted(errors_of(short), short, step)
-        shorter.append((own, noise))
+        shorter.append(fitted(errors_of(short), short, step))
     first = step // 2
     at = (..., np.s_[first::step], np.s_[first::step])
     row, column = (np.arange(first, size, step) // cells.side for size in labels.shape)
@@ -306,7 +301,7 @@ def strain_over_squares(
         np.ascontiguousarray(cells.normal[:, row[:, None], column]),
         np.ascontiguousarray(used[at]),
         np.ascontiguousarray(strain[at]),
-        np.ascontiguousarray(at_edges[at]),
+        np.ascontiguousarray(variance[at]),
         tuple(shorter),
     )
     steps = int(np.ceil(reach / step))

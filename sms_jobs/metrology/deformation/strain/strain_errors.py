@@ -73,6 +73,8 @@ class SharedErrors:
         Of the gauge disc, or of the disc whose points scatter as those of the gauge.
     matched
         Subsets, and which part of `match` is theirs.
+    match_margin_px
+        Rim of regions of which no match uses anything.
     """
 
     own: Floats
@@ -81,6 +83,7 @@ class SharedErrors:
     subset_radius_px: float
     disc_radius_px: float
     matched: tuple[tuple[Subsets, float], ...] = ()
+    match_margin_px: float = 0.0
 
     @property
     def every(self) -> Floats:
@@ -117,6 +120,7 @@ def shared_errors(
     subset_radius_px: float,
     disc_radius_px: float,
     order: ShapeOrder = 1,
+    match_margin_px: float = 0.0,
     shape: MatchedShape | None = None,
     window: Window | None = None,
 ) -> SharedErrors:
@@ -135,6 +139,8 @@ def shared_errors(
         Of the gauge disc, or of the disc whose points scatter as those of the gauge.
     order
         Of the deformation of the subsets of the match.
+    match_margin_px
+        Rim of regions of which these use nothing.
     shape
         Of positions from matches between cameras; None of others.
     window
@@ -184,7 +190,7 @@ def shared_errors(
     # What both have in common may make the remainder negative; their sum is not.
     match = _positive(sum((part for _, part in matched), start=np.zeros(6)))
     own = np.where(np.isfinite(noise), of_cloud * cloud, np.nan) + biased
-    return SharedErrors(own, match, *lengths, _shares(matched))
+    return SharedErrors(own, match, *lengths, _shares(matched), match_margin_px)
 
 
 def _shares(matched: list[tuple[Subsets | None, Floats]]) -> tuple[tuple[Subsets, float], ...]:

@@ -256,8 +256,8 @@ def surface_strain(
     The plane is that of the points' principal axes, in which height is uncorrelated with place: a rigid
     motion therefore gives no Green-Lagrange strain at all on any surface, and a lopsided disc at an edge
     gives the strain at its centroid. The equivalent strain is sqrt(e1^2 - e1 e2 + e2^2) of the principal
-    strains e1 and e2. The standard deviation counts noise and what bends within the disc (`gauge_bias`),
-    which is held against the noise that there is beside edges (`noise_at_edges`).
+    strains e1 and e2. The standard deviation counts noise, with what edges add to it (`noise_at_edges`),
+    and what bends within the disc (`gauge_bias`).
     """
     valid = np.isfinite(displacement).all(axis=0) & (labels > 0)
     used = np.where(valid, labels, 0).astype(np.int32)
@@ -270,11 +270,8 @@ def surface_strain(
     least_cosine = float(np.cos(fold_angle_rad))
     edges = edges_of(labels, cells, axis, errors)
 
-    def fitted(cells: Cells, part: float, step: int) -> tuple[Floats, Floats, Floats]:
-        """Return strain over a part of the length and its variance by noise, of every `step`-th pixel.
-
-        The variance as if far from edges, and with what these add.
-        """
+    def fitted(cells: Cells, part: float, step: int) -> tuple[Floats, Floats]:
+        """Return strain over a part of the length and its variance by noise, of every `step`-th pixel."""
         side, told = cells.side, told_of_cells(cells)
         shape = [len(range(step // 2, size, step)) for size in labels.shape]
         strain, own, match = (np.empty((3, *shape)) for _ in range(3))
@@ -290,15 +287,14 @@ def surface_strain(
         in_row_blocks(work, shape[0], threads)
         of_own, of_match = errors.seen_by_part(part)
         own, match = of_own * own, of_match * match
-        return strain, own + match, noise_at_edges(own, match, edges.sampled(step), errors, part, threads)
+        return strain, noise_at_edges(own, match, edges.sampled(step), errors, part, threads)
 
-    strain, variance, at_edges = fitted(cells, 1.0, 1)
+    strain, variance = fitted(cells, 1.0, 1)
     step = max(1, int(np.ceil(reach_px / STEPS_TO_A_RADIUS)))
-    every = [(strain, at_edges)]
+    every = [(strain, variance)]
     for part in SHORTER:
         finer = _cells_for(part * reach_px, xyz, displacement, errors.own, used)
-        shorter, _, of_shorter = fitted(finer, part, step)
-        every.append((shorter, of_shorter))
+        every.append(fitted(finer, part, step))
     samples = _sampled(xyz, used, cells, every, step)
     of_gauge = gauge_bias(samples, radius, int(np.ceil(reach_px / step)), least_cosine, threads)
     square = spread_over_pixels(of_gauge, samples, used, threads)
