@@ -31,7 +31,6 @@ from sms_jobs.kinds.deformation.followed_partners import (
     CALIBRATION_AT_REST,
     PARTNERS,
     PARTNERS_AT_REST,
-    blur_of,
     followed_field,
     needs_of_partners,
 )
@@ -58,6 +57,7 @@ from sms_jobs.kinds.point_matches import match_statistics, summary
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, PLACES, REGIONS, Product
 from sms_jobs.kinds.resolution import resolution_statistics
+from sms_jobs.kinds.shape.textures import blur_of
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.cracks.lines import crack_lines
@@ -205,7 +205,7 @@ def _prepared(before: TexturedState, after: TexturedState, parameters: Correlate
         before.matched,
         (before.noise, after.noise),
         parameters.interpolation,
-        blur=0.0 if parameters.following == "each-state" else blur_of(parameters),
+        blur=0.0 if parameters.following == "each-state" else blur_of(parameters.smoothing_px),
     )
 
 

@@ -19,7 +19,8 @@ from sms_jobs.kinds.deformation.followed_matches import FollowedMatches, follow_
 from sms_jobs.kinds.deformation.textured_state import CALIBRATION_OF_SHAPE, TexturedState
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, PLACES
-from sms_jobs.kinds.shape.textures import white_texture
+from sms_jobs.kinds.shape.partner_places import asks_for_another_place
+from sms_jobs.kinds.shape.textures import blur_of, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.deformation.fields.followed_points import (
@@ -48,20 +49,11 @@ CALIBRATION_AT_REST = Port("calibration_at_rest", CALIBRATION, (CALIBRATED,))
 PARTNERS_AT_REST = Port("reference_partner", MEASUREMENT, (MEASURED,), several=True)
 PARTNERS = Port("partner", MEASUREMENT, (MEASURED,), several=True)
 
-_OFF_SIGMAS, _OFF_PX = 3.0, 0.05
-"""Deviations of a match between cameras, and px, by which images may ask for another place (ADR 68)."""
 _MISS_SIGMAS = 6.0
 """Largest gap of the rays, in units of what the matches state and, where that is more, of the median gap."""
-_PIXEL_VARIANCE = 1.0 / 12.0
-"""Of a pixel's own square, px^2: what blurs an image beside the filter."""
 _AT_ONCE = 1 << 17
 """Points whose rays are met at a time, so that memory does not grow with the image."""
 _NOWHERE = -10.0
-
-
-def blur_of(parameters: CorrelateParameters) -> float:
-    """Return the variance in px^2 of the spot that an image shows of a point: of pixels and of our filter."""
-    return parameters.smoothing_px**2 + _PIXEL_VARIANCE
 
 
 def needs_of_partners(
@@ -201,7 +193,12 @@ def _by_own_texture(
     )
     labels, shift = _as_partner_sees(start, scene.expected[partner] - start, before.matched)
     images = prepare_images(
-        first, last, labels, (first_noise, last_noise), parameters.interpolation, blur=blur_of(parameters)
+        first,
+        last,
+        labels,
+        (first_noise, last_noise),
+        parameters.interpolation,
+        blur=blur_of(parameters.smoothing_px),
     )
     subsets = Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order))
     expected = _pixels(shape) + shift
@@ -268,13 +265,13 @@ def _by_first_image(
         before.matched,
         (before.noise, noise),
         parameters.interpolation,
-        blur=blur_of(parameters),
+        blur=blur_of(parameters.smoothing_px),
     )
     subsets = Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order))
     spread = match_and_spread(
         images, scene.expected[partner], subsets, parameters, inputs.threads, between=True
     )
-    off = (spread.bias > np.maximum(_OFF_SIGMAS**2 * spread.variance, _OFF_PX**2)).any(axis=0)
+    off = asks_for_another_place(spread.bias, spread.variance)
     disagree = np.isfinite(spread.moved[0]) & (off | ~spread.agrees)
     place = np.where(disagree, np.nan, _pixels(shape) + spread.moved)
     slopes = slopes_of_places(place, subsets.radius)

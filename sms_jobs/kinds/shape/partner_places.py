@@ -26,6 +26,14 @@ _OFF_SIGMAS, _OFF_PX = 3.0, 0.05
 """Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
 
 
+def asks_for_another_place(bias: Floats, variance: Floats) -> Mask:
+    """Say where images that are compared again ask for another place than a match between cameras tells.
+
+    Both (2, rows, columns) in px^2: the square of what they ask for, and the variance of the match.
+    """
+    return np.asarray((bias > np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)).any(axis=0))
+
+
 @dataclass(frozen=True)
 class PartnerPlaces:
     """The matches with a partner, spread to every pixel and checked against the images.
@@ -62,8 +70,7 @@ def places_of_pixels(
     place = _well_inside(
         np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
     )
-    allowed = np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)
-    off = (verified.bias > allowed).any(axis=0)
+    off = asks_for_another_place(verified.bias, variance)
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
     disagree = ndimage.binary_opening(off | ~verified.agrees, np.ones((3, 3))) & np.isfinite(place[0])
     place[:, disagree] = np.nan

@@ -66,7 +66,7 @@ from sms_jobs.kinds.shape.ray_images import (
     why_nothing,
 )
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
-from sms_jobs.kinds.shape.textures import white_texture
+from sms_jobs.kinds.shape.textures import blur_of, white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.deformation.matching.camera_matching import (
     RaySearch,
@@ -96,8 +96,6 @@ from sms_jobs.records.subject import Subject
 
 _GAP_SIGMAS = 6.0
 """Largest gap of the rays, in units of what noise and calibration explain; noise alone never reaches it."""
-_PIXEL_VARIANCE = 1.0 / 12.0
-"""Of a pixel's own square, px^2: what blurs an image beside the filter; a lens's blur is not known."""
 _MOST_SATURATED = 0.5
 """Part of an image that may be saturated: a bright background may, a specimen and its surroundings not."""
 
@@ -127,7 +125,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         )
         volume = (calibration.volume.low, calibration.volume.high)
         search = RaySearch(volume, line_width(factor, number + 1, parameters.epipolar_width_px))
-        noise, blur = (reference.noise, partner.noise), parameters.smoothing_px**2 + _PIXEL_VARIANCE
+        noise, blur = (reference.noise, partner.noise), blur_of(parameters.smoothing_px)
         images = prepare_images(reference.texture, partner.texture, labels, noise, blur=blur)
         found.append(_matched(inputs, reference, partner, images, nodes, parameters, search))
         spread.append(places_of_pixels(images, found[-1], parameters, inputs.threads))

@@ -9,6 +9,14 @@ from sms_jobs.metrology.deformation.matching.correlation import Noise
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 from sms_jobs.records.measurement import Measurement
 
+_PIXEL_VARIANCE = 1.0 / 12.0
+"""Of a pixel's own square, px^2: what blurs an image beside the filter; a lens's blur is not known."""
+
+
+def blur_of(smoothing_px: float) -> float:
+    """Return the variance in px^2 of the spot that a filtered image shows of a point."""
+    return smoothing_px**2 + _PIXEL_VARIANCE
+
 
 def white_texture(
     measurement: Measurement, smoothing_px: float, of_interest: NDArray[np.bool_]
