@@ -10,9 +10,10 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.kind import Inputs, Port
 from sms_jobs.kinds.products import UNCERTAINTY
 from sms_jobs.kinds.shape.phase_task import Geometry, TrustParameters, mark
-from sms_jobs.metrology.arrays import Mask, Reasons, Singles
+from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
+from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
@@ -119,21 +120,39 @@ def _straighten(
 
     Along the camera's rays: light of a pixel changes its phase, not its ray.
     """
-    bend, unsure = half_laplacian(seen.inverse, seen.sigma, pair.threads)
-    straight = seen.inverse - blur.variance * bend
-    left = np.hypot(blur.variance * unsure, blur.variance_sigma * bend)
-    sigma = np.hypot(seen.sigma, left)
-    left = np.hypot(left, beyond_noise(replace(seen, inverse=straight, sigma=sigma), asked, pair.threads))
-    ray = points.xyz - pair.pose.centre()[:, None, None]
-    ray *= seen.inverse / straight
-    np.add(ray, pair.pose.centre()[:, None, None], out=points.xyz)
-    ray *= left / straight
-    before = _trace(points.covariance)
-    for index, (one, other) in enumerate(PACKED):
-        points.covariance[index] += (ray[one] * ray[other]).astype(np.float32)
-    # What cancels between neighbours stays what it is.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        np.multiply(points.part, before / _trace(points.covariance), out=points.part)
+    straight, left = _straightened(seen, pair, asked, blur)
+    centre = pair.pose.centre()[:, None, None]
+
+    def move(start: int, stop: int) -> None:
+        rows = slice(start, stop)
+        xyz, covariance, part = points.xyz[:, rows], points.covariance[:, rows], points.part[rows]
+        ray = xyz - centre
+        ray *= seen.inverse[rows] / straight[rows]
+        np.add(ray, centre, out=xyz)
+        ray *= left[rows] / straight[rows]
+        before = _trace(covariance)
+        for index, (one, other) in enumerate(PACKED):
+            covariance[index] += (ray[one] * ray[other]).astype(np.float32)
+        # What cancels between neighbours stays what it is.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            np.multiply(part, before / _trace(covariance), out=part)
+
+    in_row_blocks(move, len(straight), pair.threads)
+
+
+def _straightened(seen: InverseDepths, pair: SensorPair, asked: Mask, blur: Blur) -> tuple[Floats, Floats]:
+    """Return inverse depths without the surface's bend within a pixel, and what may be left of that.
+
+    The latter as a standard deviation; both in as little memory as they take.
+    """
+    bend, left = half_laplacian(seen.inverse, seen.sigma, pair.threads)
+    left *= blur.variance
+    np.hypot(left, blur.variance_sigma * bend, out=left)
+    bend *= blur.variance
+    straight = np.subtract(seen.inverse, bend, out=bend)
+    after = replace(seen, inverse=straight, sigma=np.hypot(seen.sigma, left))
+    np.hypot(left, beyond_noise(after, asked, pair.threads), out=left)
+    return straight, left
 
 
 def _trace(covariance: Singles) -> Singles:

@@ -128,4 +128,4 @@ def half_laplacian(inverse: Floats, sigma: Floats, threads: int = 1) -> tuple[Fl
 
         in_row_blocks(bends, len(usable), threads)
         in_row_blocks(means, len(usable), threads)
-    return half, np.sqrt(variance)
+    return half, np.sqrt(variance, out=variance)
