@@ -44,12 +44,18 @@ def row_slabs(stack: FrameStack, threads: int) -> Iterator[tuple[slice, NDArray[
             yield slab, frames
 
 
-def sampled(stack: FrameStack, rows: int, columns: int) -> NDArray[Any]:
-    """Return (frames, at most `rows`, about `columns`) of a stack: single pixels, evenly spread."""
+def sampled(stack: FrameStack, rows: int, columns: int, beside: int = 1) -> NDArray[Any]:
+    """Return (frames, at most `rows`, about `columns`) of a stack: single pixels, evenly spread.
+
+    So many rows lie `beside` each other, and are read at once.
+    """
     _, height, width = stack.shape
-    picked = sorted({height * (2 * i + 1) // (2 * rows) for i in range(rows)})
+    groups = max(min(rows, height) // beside, 1)
+    starts = [height * (2 * i + 1) // (2 * groups) - beside // 2 for i in range(groups)]
     step = max(width // columns, 1)
-    return np.concatenate([stack.rows(row, row + 1)[..., ::step] for row in picked], axis=1)
+    return np.concatenate(
+        [stack.rows(max(row, 0), min(row + beside, height))[..., ::step] for row in starts], axis=1
+    )
 
 
 def in_best_exposure(measurement: Measurement, frames: NDArray[Any]) -> tuple[NDArray[Any], Singles]:

@@ -107,6 +107,15 @@ def bracketed(stack: Counted, exposures: tuple[float, ...]) -> Measurement:
     return Measurement(datetime(2026, 1, 1, tzinfo=UTC), sequence, 4000, 0.1, 2.0, white, stack)
 
 
+@pytest.mark.parametrize(("height", "starts"), [(100, [10, 35, 60, 85]), (9, [0, 4]), (2, [0])])
+def test_rows_of_a_sample_lie_beside_each_other(height: int, starts: list[int]) -> None:
+    """And are read at once, no row twice, however low the image is."""
+    stack = Counted(np.arange(height, dtype=np.uint16)[None, :, None])
+    found = sampled(stack, 16, 1, beside=4)[0, :, 0].tolist()
+    assert [start for start, _ in stack.asked] == starts
+    assert found == [row for start in starts for row in range(start, min(start + 4, height))]
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_best_exposures_slab_by_slab_are_those_of_the_whole(
     rng: np.random.Generator, threads: int
