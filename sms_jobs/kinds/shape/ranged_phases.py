@@ -28,7 +28,7 @@ from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.ranging.harmonics import ghost_error, ghost_level
 from sms_jobs.metrology.phase.ranging.misfit import misfit_factor
 from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS
-from sms_jobs.metrology.phase.ranging.shared_amplitudes import ToldApart, close_signal, tell_apart
+from sms_jobs.metrology.phase.ranging.shared_amplitudes import CloseReturns, ToldApart, tell_apart
 from sms_jobs.metrology.phase.response import Response
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
 from sms_jobs.records.measurement import FringeSequence
@@ -36,6 +36,7 @@ from sms_jobs.records.reasons import Reason
 
 _SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
 _COMPARED = (32, 512)  # rows, and pixels of each, that tell how far amplitudes of two orientations agree
+_BESIDE = 4  # of these rows lie side by side: few places of a recording are read twice
 _WELL_APART = 1.5  # bins: a second return raises the bound of omega by 2 %
 _TOLD_APART = 0.7  # bins: by 40 %
 _WIDTH_SIGMA = 1.5  # of a sharp return's width, times s, over the root of noise by amplitude: see `Returns`
@@ -157,18 +158,24 @@ def _told_apart(
         close &= np.max(telling, axis=0) >= np.maximum(_TOLD_APART, 2.0 * apart[k])
         for j in sorted({*widest[close].tolist()}):
             where = close & (widest == j)
-            signal = close_signal(
-                frames[sequence.frames_of(k)][:, where],
+            told = found[j].amplitude[:2, where].astype(np.float64)
+            noise = told * _relative_sigma(found[j].omega_sigma[:2, where], sequence)
+            returns = CloseReturns(
+                where,
+                np.concatenate([one.omega[:2, where], one.amplitude[:2, where]]),
+                told,
+                np.hypot(noise, known.amplitude_spread * told),
+            )
+            fitted = tell_apart(
+                frames[sequence.frames_of(k)],
                 sequence.densities,
                 sequence.steps,
                 measurement.grey_levels,
                 known.transfers[k],
-                known.responses[k] if known.corrected else None,
+                returns,
+                response=known.responses[k] if known.corrected else None,
+                threads=task.threads,
             )
-            told = found[j].amplitude[:2, where].astype(np.float64)
-            noise = told * _relative_sigma(found[j].omega_sigma[:2, where], sequence)
-            mine = np.concatenate([one.omega[:2, where], one.amplitude[:2, where]])
-            fitted = tell_apart(signal, mine, told, np.hypot(noise, known.amplitude_spread * told))
             better[k] = _with_fitted(better[k], where, fitted)
             ambiguous[where] |= fitted.ambiguous & ~fitted.against
     return better, ambiguous
@@ -217,7 +224,9 @@ def amplitude_spread(
 
     As a standard deviation, in a sample of the rows: where two orientations tell two returns well apart.
     """
-    frames, _ = in_best_exposure(task.measurement, sampled(task.measurement.frames, *_COMPARED))
+    frames, _ = in_best_exposure(
+        task.measurement, sampled(task.measurement.frames, *_COMPARED, beside=_BESIDE)
+    )
     found = _ranged(task, transfers, responses, frames)
     sequence = task.measurement.sequence
     well = [_apart_bins(one, sequence) >= _WELL_APART for one in found]

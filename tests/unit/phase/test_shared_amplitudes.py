@@ -1,24 +1,28 @@
 """Close returns whose amplitudes another orientation tells: errors, sides, and what speaks against them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from sms_jobs.metrology.arrays import Complexes, Floats
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
-from sms_jobs.metrology.phase.ranging.harmonics import NO_GHOSTS, Ghosts
-from sms_jobs.metrology.phase.ranging.shared_amplitudes import (
-    CloseSignal,
-    ToldApart,
-    close_signal,
-    tell_apart,
-)
+from sms_jobs.metrology.phase.ranging.shared_amplitudes import CloseReturns, ToldApart, tell_apart
+from sms_jobs.metrology.phase.response import Response
 
-S, PIXELS, NOISE = 32, 2000, 2.0
-T = np.arange(S, dtype=np.float64)
-BIN = 2.0 * np.pi / S
-TRANSFER = np.exp(-((T / 60.0) ** 2))
-LIGHT = np.array([[200.0], [60.0]])
-TOLD_SIGMA = np.array([[2.0], [2.0]])
+S, ROWS, COLUMNS, Q = 32, 20, 100, 4
+PIXELS = ROWS * COLUMNS
+T = np.arange(1.0, S + 1.0)
+BIN = 2.0 * np.pi / (S + 1)
+DAMPING = 60.0**-2
+TRANSFER = np.exp(-DAMPING * T**2)
+LIGHT = np.array([[800.0], [240.0]])
+TOLD_SIGMA = np.full((2, PIXELS), 8.0)
+MEAN, NOISE = 2000.0, 8.0  # grey levels
+LINEAR = Response(np.ones(1), np.zeros(1), DAMPING, 1.0, 0.0, 1.0)
+CAMERA = GreyLevels(full_scale=65535, gain=0.0, read_noise=float(np.hypot(NOISE, 12**-0.5)))
+VARIANCE = 2.0 / Q * CAMERA.read_noise**2  # of either part of z
 
 
 def returns(bins: float) -> Floats:
@@ -27,18 +31,16 @@ def returns(bins: float) -> Floats:
     return np.stack([first, first + bins * BIN])
 
 
-def signal_of(omega: Floats, ghosts: Ghosts = NO_GHOSTS) -> CloseSignal:
-    """Return what a camera sees of two returns: variance 2 NOISE^2 / q in each part, q = 4."""
-    random = np.random.default_rng(2)
-    signal: Complexes = np.zeros((PIXELS, S), np.complex128)
-    for places, light in zip(omega, LIGHT, strict=True):
-        signal += light * TRANSFER * np.exp(1j * T * places[:, None])
-        for n, ahead, back in zip(ghosts.orders, ghosts.forward, ghosts.backward, strict=True):
-            signal += light * ahead * np.exp(1j * n * T * places[:, None])
-            signal += light * back * np.exp(-1j * n * T * places[:, None])
-    variance = NOISE**2 / 2.0
-    signal += random.normal(0.0, np.sqrt(variance), (2, PIXELS, S)).T.swapaxes(0, 1) @ [1.0, 1j]
-    return CloseSignal(signal, np.full((PIXELS, S), 1.0 / variance), T, TRANSFER, ghosts)
+def recorded(omega: Floats, response: Response = LINEAR) -> NDArray[Any]:
+    """Return what a camera sees of two returns, (frames, rows, columns)."""
+    steps = 2.0 * np.pi / Q * np.arange(Q)
+    frames = MEAN + np.random.default_rng(2).normal(0.0, NOISE, (S, Q, PIXELS))
+    strengths = np.array([response.at_density(t) for t in T])
+    for places, light in zip(omega, LIGHT[:, 0], strict=True):
+        phase = np.multiply.outer(T, places)[:, None] + steps[:, None]
+        for n, strength in enumerate(strengths.T, 1):
+            frames += light * strength[:, None, None] * np.cos(n * phase)
+    return np.rint(frames).astype(np.uint16).reshape(S * Q, ROWS, COLUMNS)
 
 
 def told() -> Floats:
@@ -46,21 +48,40 @@ def told() -> Floats:
     return np.asarray(LIGHT + TOLD_SIGMA * np.random.default_rng(3).normal(size=(2, PIXELS)))
 
 
+def fit(
+    frames: NDArray[Any], found: Floats, amplitudes: Floats, response: Response | None = None
+) -> ToldApart:
+    """Fit all pixels."""
+    every: Mask = np.ones((ROWS, COLUMNS), np.bool_)
+    close = CloseReturns(every, found, amplitudes, TOLD_SIGMA)
+    return tell_apart(frames, tuple(T), Q, CAMERA, TRANSFER, close, response=response)
+
+
+def both(omega: Floats) -> Floats:
+    """Return what is found where both returns are."""
+    return np.concatenate([omega, np.broadcast_to(LIGHT, (2, PIXELS))])
+
+
+def error_in_sigmas(result: ToldApart, omega: Floats) -> float:
+    """Return the rms of the errors in units of what is stated."""
+    return float(np.sqrt(np.mean(((result.omega - omega) / result.omega_sigma) ** 2)))
+
+
 def fitted(bins: float) -> tuple[Floats, ToldApart]:
     """Return errors (2, pixels) of two returns of which one was found, in rad, and the fit."""
     omega = returns(bins)
     middle = np.average(omega, axis=0, weights=LIGHT[:, 0])
-    one = np.full(PIXELS, LIGHT.sum())
-    found = np.stack([middle, np.full(PIXELS, np.nan), one, np.full(PIXELS, np.nan)])
-    fit = tell_apart(signal_of(omega), found, told(), np.broadcast_to(TOLD_SIGMA, (2, PIXELS)))
-    return fit.omega - omega, fit
+    nothing = np.full(PIXELS, np.nan)
+    found = np.stack([middle, nothing, np.full(PIXELS, LIGHT.sum()), nothing])
+    result = fit(recorded(omega), found, told())
+    return result.omega - omega, result
 
 
 def bounds(bins: float, amplitude_sigma: float) -> Floats:
     """Return the Cramer-Rao bounds (2,) of omega where amplitudes were observed with a deviation."""
     turns = TRANSFER * np.exp(1j * np.outer([0.0, bins * BIN], T))
     columns = np.concatenate([LIGHT * 1j * T * turns, turns])
-    fisher = np.real(columns @ columns.conj().T) / (NOISE**2 / 2.0)
+    fisher = np.real(columns @ columns.conj().T) / VARIANCE
     fisher[[2, 3], [2, 3]] += 1.0 / amplitude_sigma**2
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(fisher)))[:2])
 
@@ -68,12 +89,12 @@ def bounds(bins: float, amplitude_sigma: float) -> Floats:
 @pytest.mark.parametrize("bins", [0.3, 0.5, -0.5, 1.0])
 def test_errors_are_the_bound_of_known_amplitudes(bins: float) -> None:
     """The rms of 2000 normal numbers is within 8 % of their deviation, at five deviations of its own."""
-    error, fit = fitted(bins)
-    assert not fit.ambiguous.any()
-    assert not fit.against.any()
+    error, result = fitted(bins)
+    assert not result.ambiguous.any()
+    assert not result.against.any()
     rms = np.sqrt(np.mean(error**2, axis=1))
-    assert rms == pytest.approx(bounds(bins, 2.0), rel=0.08)
-    assert np.sqrt(np.mean((error / fit.omega_sigma) ** 2)) == pytest.approx(1.0, abs=0.08)
+    assert rms == pytest.approx(bounds(bins, 8.0), rel=0.08)
+    assert error_in_sigmas(result, returns(bins)) == pytest.approx(1.0, abs=0.08)
 
 
 def test_amplitudes_are_worth_a_factor_where_returns_are_close() -> None:
@@ -84,45 +105,53 @@ def test_amplitudes_are_worth_a_factor_where_returns_are_close() -> None:
 
 def test_sides_that_cannot_be_told_are_named() -> None:
     """At a twelfth of a bin half the fits would be on the wrong side; whatever is not named is right."""
-    error, fit = fitted(0.08)
-    assert fit.ambiguous.mean() > 0.9
-    told_apart = ~fit.ambiguous
-    assert (np.abs(error[:, told_apart]) < 6.0 * fit.omega_sigma[:, told_apart]).all()
+    error, result = fitted(0.08)
+    assert result.ambiguous.mean() > 0.9
+    told_apart = ~result.ambiguous
+    assert (np.abs(error[:, told_apart]) < 6.0 * result.omega_sigma[:, told_apart]).all()
 
 
 def test_a_return_of_its_own_amplitudes_speaks_against_others() -> None:
     """Amplitudes that are off by a third of the weaker are noticed where the signal tells them."""
     omega = returns(1.2)
-    found = np.concatenate([omega, np.broadcast_to(LIGHT, (2, PIXELS))])
-    wrong = LIGHT + np.array([[40.0], [-40.0]])
-    fit = tell_apart(
-        signal_of(omega), found, np.broadcast_to(wrong, (2, PIXELS)), np.broadcast_to(TOLD_SIGMA, (2, PIXELS))
-    )
-    assert fit.against.all()
+    wrong = np.broadcast_to(LIGHT + np.array([[160.0], [-160.0]]), (2, PIXELS))
+    assert fit(recorded(omega), both(omega), wrong).against.all()
 
 
 def test_harmonics_are_a_part_of_each_return() -> None:
-    """A ghost of a tenth at three times the phase moves nothing once it is in the model."""
-    strength = np.full((1, S), 0.1, np.float32)
-    ghosts = Ghosts(np.array([3.0]), np.zeros_like(strength), strength, 1)
+    """A third harmonic, which four steps take for fringes, moves nothing once it is in the model."""
+    omega, harmonics = returns(0.4), np.array([1.0, 0.0, 0.1])
+    response = Response(harmonics, np.zeros(3), DAMPING, 1.0, 0.0, 1.0)
+    frames = recorded(omega, response)
+    z = [error_in_sigmas(fit(frames, both(omega), told(), known), omega) for known in (response, None)]
+    assert z[0] == pytest.approx(1.0, abs=0.08)
+    assert z[1] > 1.5
+
+
+def test_saturated_densities_weigh_nothing() -> None:
+    """Frames at full scale are no cosine: with them errors would be hundreds of deviations."""
     omega = returns(0.4)
-    found = np.concatenate([omega, np.broadcast_to(LIGHT, (2, PIXELS))])
-    fit = tell_apart(signal_of(omega, ghosts), found, told(), np.broadcast_to(TOLD_SIGMA, (2, PIXELS)))
-    z = (fit.omega - omega) / fit.omega_sigma
-    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.08)
+    frames = recorded(omega)
+    frames[8 * Q + 1, 3:6] = frames[20 * Q, :, 40:] = CAMERA.full_scale
+    assert error_in_sigmas(fit(frames, both(omega), told()), omega) == pytest.approx(1.0, abs=0.08)
 
 
-def test_a_signal_is_that_of_its_frames_without_saturated_densities() -> None:
-    """Frames of four steps give back B exp(i omega t); one with a frame at full scale weighs nothing."""
-    densities, omega, light = (1.0, 2.0, 3.0, 4.0), 0.7, 50.0
-    phase = np.outer(densities, np.full(3, omega))[:, None] + (np.pi / 2.0 * np.arange(4))[:, None]
-    frames = np.rint(100.0 + light * np.cos(phase)).reshape(16, 3).astype(np.uint16)
-    frames[5, 2] = 255
-    camera = GreyLevels(full_scale=255, gain=0.5, read_noise=2.0)
-    close = close_signal(frames, densities, 4, camera, np.ones(4))
-    expected = light * np.exp(1j * omega * np.array(densities))
-    rounding = np.sqrt(0.5)  # half a level in either part
-    assert close.signal[0] == pytest.approx(expected, abs=rounding)
-    assert np.flatnonzero(close.weight[2] == 0.0).tolist() == [1]
-    variance = 0.5 * (2.0**2 + 0.5 * frames[:, 0].mean())
-    assert close.weight[0] == pytest.approx(1.0 / variance)
+def test_some_pixels_are_fitted_as_all_are_on_any_number_of_threads() -> None:
+    omega = returns(0.4)
+    where = np.random.default_rng(4).random((ROWS, COLUMNS)) < 0.3
+    where[5] = False
+    frames, chosen = recorded(omega), where.ravel()
+    every = fit(frames, both(omega), told())
+    close = CloseReturns(where, both(omega)[:, chosen], told()[:, chosen], TOLD_SIGMA[:, chosen])
+    some = tell_apart(frames, tuple(T), Q, CAMERA, TRANSFER, close, threads=2)
+    assert np.array_equal(some.omega, every.omega[:, chosen])
+    assert np.array_equal(some.omega_sigma, every.omega_sigma[:, chosen])
+
+
+def test_what_tells_no_place_is_spoken_against() -> None:
+    omega = returns(0.4)
+    frames = recorded(omega)
+    frames[:, 0] = CAMERA.full_scale
+    result = fit(frames, both(omega), told())
+    assert result.against[:COLUMNS].all()
+    assert not result.against[COLUMNS:].any()

@@ -157,7 +157,7 @@ def subtract(z: Singles, transfer: Singles, first: int, estimates: Floats, fit: 
 
 
 @inlined
-def _factor(matrix: Floats, start: int, n: int, damping: float, factor: Floats) -> bool:
+def factorize(matrix: Floats, start: int, n: int, damping: float, factor: Floats) -> bool:
     """Write the rows from `start` on of the Cholesky factor of a matrix; False where it is not positive.
 
     What the rows before leave of the diagonal is raised by the part `damping`.
@@ -181,7 +181,7 @@ def _factor(matrix: Floats, start: int, n: int, damping: float, factor: Floats) 
 
 
 @inlined
-def _solve(factor: Floats, n: int, right: Floats) -> None:
+def substitute(factor: Floats, n: int, right: Floats) -> None:
     """Replace the first n of a right-hand side by the solution of the equations with this factor."""
     for i in range(n):
         for k in range(i):
@@ -208,9 +208,9 @@ def _evaluate(z: Singles, weights: Weights, sums: Sums, first: int, estimates: F
             over, shift, curve = _overlap(rotors[i], rotors[k], weights.v)
             normal[i, k], normal[n + i, n + k] = over, curve
             normal[n + k, i], normal[n + i, k] = shift, -shift
-    if not _factor(normal, 0, n, 0.0, fit.factor):
+    if not factorize(normal, 0, n, 0.0, fit.factor):
         return np.inf
-    _solve(fit.factor, n, step)
+    substitute(fit.factor, n, step)
     for i in range(n):
         estimates[i, AMPLITUDE] = step[i]
     _subtract(z, weights.transfer, estimates, fit)
@@ -225,11 +225,11 @@ def _take_step(n: int, size: int, damping: float, estimates: Floats, fit: Fit) -
 
     The gain in the sum of squares is negative where there is no such step. `fit.step` becomes the step.
     """
-    if not _factor(fit.normal, n, 2 * n, damping, fit.factor):
+    if not factorize(fit.normal, n, 2 * n, damping, fit.factor):
         return 0.0, -1.0
     for i in range(2 * n):
         fit.slope[i] = fit.step[i]
-    _solve(fit.factor, 2 * n, fit.step)
+    substitute(fit.factor, 2 * n, fit.step)
     gain, largest = 0.0, 0.0
     for i in range(n):
         gain += fit.step[n + i] * fit.slope[n + i]
@@ -245,7 +245,7 @@ def _take_step(n: int, size: int, damping: float, estimates: Floats, fit: Fit) -
 def _write_variances(n: int, estimates: Floats, fit: Fit) -> None:
     """Write the variances of omega for unit noise, the squares of the columns of the factor's inverse."""
     factor, column = fit.factor, fit.slope
-    positive = _factor(fit.normal, n, 2 * n, 0.0, factor)
+    positive = factorize(fit.normal, n, 2 * n, 0.0, factor)
     for i in range(n, 2 * n):
         variance = 0.0
         for k in range(i, 2 * n):

@@ -10,76 +10,44 @@ alone gives the distance. What stays open is the side on which the weaker return
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log, pi
+from math import pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.arrays import Complexes, Floats, Ints, Mask, Singles
+from sms_jobs.metrology.arrays import Floats, Mask, Singles
+from sms_jobs.metrology.compilation import in_row_blocks
+from sms_jobs.metrology.phase.coded_lines import wrapped
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
-from sms_jobs.metrology.phase.ranging.harmonics import NO_GHOSTS, Ghosts, ghosts_of
-from sms_jobs.metrology.phase.ranging.signal import ranging_sequence
+from sms_jobs.metrology.phase.ranging.harmonics import NO_GHOSTS, ghosts_of
+from sms_jobs.metrology.phase.ranging.signal import Sequence, ranging_sequence, read_signal
+from sms_jobs.metrology.phase.ranging.told_fit import DECIDED, Known, Model, Solved, fit_row, new_room
 from sms_jobs.metrology.phase.response import Response
 
-_AT_ONCE = 2048  # pixels: some 30 MB
 _TRIED_BINS = (0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.1, 1.5)
-_STEPS = 20
-_NEGLIGIBLE = 1e-3  # gain in chi-square that is not worth another step
-_EASIER, _HARDER, _DAMPING = 0.2, 10.0, 1e-3
-_DECIDED = 2.0 * log(1e4)  # in chi-square: odds of 10^4, as of fringe orders
 _SAME_SIGMAS = 3.0  # within which two solutions are one
 
 
 @dataclass(frozen=True)
-class CloseSignal:
-    """The signal of pixels (n,) whose returns lie close.
+class CloseReturns:
+    """What is known of the returns of n pixels before.
 
     Attributes
     ----------
-    signal
-        z, (n, densities).
-    weight
-        (n, densities): inverse variance of each part of z; 0 where a density is left out.
-    densities, transfer
-        t, and the modulation there relative to that towards t = 0, (densities,).
-    ghosts
-        What the harmonics of the projector add to each return.
+    where
+        (rows, columns): True at these pixels.
+    found
+        (4, n): two omega and two amplitudes as the orientation itself tells them; NaN for a second return
+        that was not found.
+    told, told_sigma
+        (2, n): amplitudes as another orientation tells them, and their standard deviations, grey levels.
     """
 
-    signal: Complexes
-    weight: Floats
-    densities: Floats
-    transfer: Floats
-    ghosts: Ghosts = NO_GHOSTS
-
-    def chosen(self, which: Ints | slice) -> CloseSignal:
-        """Return some of the pixels."""
-        return CloseSignal(self.signal[which], self.weight[which], self.densities, self.transfer, self.ghosts)
-
-
-def close_signal(
-    frames: NDArray[Any],
-    densities: tuple[float, ...],
-    steps: int,
-    camera: GreyLevels,
-    transfer: Floats,
-    response: Response | None = None,
-) -> CloseSignal:
-    """Return the signal of pixels, from the frames of one orientation, (frames, n).
-
-    The other arguments are those of `range_returns`, which see.
-    """
-    sequence = ranging_sequence(densities, steps, len(frames))
-    signal = np.zeros((sequence.count, frames.shape[1]), np.complex128)
-    lost = np.zeros(signal.shape, np.bool_)
-    for frame, (index, real, imaginary) in zip(frames, sequence.frames, strict=True):
-        signal[int(index)] += (real + 1j * imaginary) * frame
-        lost[int(index)] |= frame >= camera.full_scale
-    variance = 2.0 / steps * (camera.read_noise**2 + camera.gain * frames.mean(axis=0, dtype=np.float64))
-    weight = np.where(lost, 0.0, sequence.precision[:, None] / variance).T
-    ghosts = NO_GHOSTS if response is None else ghosts_of(response, sequence, steps)
-    return CloseSignal(signal.T.copy(), weight.copy(), sequence.densities, transfer, ghosts)
+    where: Mask
+    found: Floats
+    told: Floats
+    told_sigma: Floats
 
 
 @dataclass(frozen=True)
@@ -103,153 +71,100 @@ class ToldApart:
     against: Mask
 
 
-def tell_apart(close: CloseSignal, found: Floats, told: Floats, told_sigma: Floats) -> ToldApart:
-    """Fit two returns to signals, given their amplitudes.
+def tell_apart(
+    frames: NDArray[Any],
+    densities: tuple[float, ...],
+    steps: int,
+    camera: GreyLevels,
+    transfer: Floats,
+    close: CloseReturns,
+    *,
+    response: Response | None = None,
+    threads: int = 1,
+) -> ToldApart:
+    """Fit two returns to some pixels of an orientation, given their amplitudes.
 
     Parameters
     ----------
+    frames, densities, steps, camera, response, threads
+        As of `range_returns`, which see.
+    transfer
+        (densities,), modulation relative to that towards t = 0.
     close
-        The signals.
-    found
-        (4, n): two omega and two amplitudes as they are known without; NaN for a second that was not found.
-    told, told_sigma
-        (2, n): amplitudes of the returns and their standard deviations, grey levels.
+        The pixels, and what is known of them.
 
     Notes
     -----
     Least squares of z(t) = g(t) sum a_i exp(i omega_i t) with the amplitudes as two further observations, by
-    damped Gauss-Newton from the best of a grid of distances on either side. The side is told if its
-    likelihood is 10^4 times that of the other; sides that give the same two places are no alternatives.
-    The amplitudes are spoken against where they raise chi-square by as much.
+    damped Gauss-Newton on either side of the stronger return. It starts from the middle of what was found and
+    from that of a grid of distances at which |z|^2 falls as that of the amplitudes does. The side is told if
+    its likelihood is 10^4 times that of the other; sides that give the same two places are no alternatives.
+    The amplitudes are spoken against where they raise chi-square by as much, and where the signal tells no
+    places with them.
+
+    Raises `InvalidInput` for densities that cannot be ranged.
     """
-    count, every = found.shape[1], _Fit(close, told, told_sigma)
-    omega, sigma, amplitude = (np.empty((2, count)) for _ in range(3))
-    ambiguous, against = np.empty(count, np.bool_), np.empty(count, np.bool_)
-    for start in range(0, count, _AT_ONCE):
-        part = slice(start, min(start + _AT_ONCE, count))
-        fit = every.of(part)
-        sides = [fit.solved(fit.best_start(found[:, part], side)) for side in (1.0, -1.0)]
-        (first, low), (second, high) = sides
-        best = np.where(low <= high, first, second)
-        other = np.where(low <= high, second, first)
-        omega[:, part], amplitude[:, part] = best[:2], best[2:]
-        sigma[:, part] = spread = fit.omega_sigma(best)
-        ambiguous[part] = (np.abs(low - high) < _DECIDED) & ~_same_places(best, other, spread)
-        against[part] = np.minimum(low, high) > fit.misfit(np.nan_to_num(found[:, part])) + _DECIDED
-    return ToldApart(omega, sigma.astype(np.float32), amplitude.astype(np.float32), ambiguous, against)
+    sequence = ranging_sequence(densities, steps, len(frames))
+    model = _model(sequence, steps, transfer, response)
+    rows, columns = np.nonzero(close.where)
+    height, width = close.where.shape
+    begins = np.searchsorted(rows, np.arange(height + 1))
+    before = (np.nan_to_num(close.found), close.told, close.told_sigma)
+    known = Known(*(np.ascontiguousarray(one.T) for one in before))
+    solved = Solved(*(np.empty((len(rows), *shape)) for shape in ((2, 4), (2,), (2,), ())))
+    stack = np.ascontiguousarray(frames)
+
+    def work(start: int, stop: int) -> None:
+        room = new_room(sequence.count)
+        signal = np.empty((2, sequence.count, width), np.float32)
+        lost = np.empty((sequence.count + 1, width), np.uint8)
+        levels = np.empty((2, width), np.float32)
+        for row in range(start, stop):
+            first = int(begins[row])
+            chosen = columns[first : begins[row + 1]]
+            if not chosen.size:
+                continue
+            read_signal(stack, row, sequence.frames, camera.full_scale, signal[0], signal[1], lost, levels)
+            variance = 2.0 / steps * (camera.read_noise**2 + camera.gain * levels[0, chosen])
+            precision = np.asarray(sequence.precision[:, None] / variance, np.float32)
+            fit_row(signal, lost, precision, chosen, first, model, known, solved, room)
+
+    in_row_blocks(work, height, threads, block=16)
+    return _judged(solved)
+
+
+def _model(sequence: Sequence, steps: int, transfer: Floats, response: Response | None) -> Model:
+    """Return what two returns show in a sequence."""
+    ghosts = NO_GHOSTS if response is None else ghosts_of(response, sequence, steps)
+    apart = 2.0 * pi / (sequence.first + sequence.count) * np.array(_TRIED_BINS)
+    return Model(
+        sequence.densities.astype(np.float32),
+        np.asarray(transfer, np.float32),
+        ghosts.orders,
+        ghosts.forward,
+        ghosts.backward,
+        apart,
+        np.cos(np.outer(apart, sequence.densities)).astype(np.float32),
+    )
+
+
+def _judged(solved: Solved) -> ToldApart:
+    """Return the better of both sides, and whether to believe it."""
+    every, better = np.arange(len(solved.misfits)), np.argmin(solved.misfits, axis=1)
+    best, other = solved.solutions[every, better].T, solved.solutions[every, 1 - better].T
+    low, high = np.sort(solved.misfits, axis=1).T
+    sigma = solved.sigma.T
+    return ToldApart(
+        wrapped(best[:2]),
+        sigma.astype(np.float32),
+        best[2:].astype(np.float32),
+        ambiguous=(high - low < DECIDED) & ~_same_places(best, other, sigma),
+        against=(low > solved.without + DECIDED) | ~np.isfinite(sigma).all(axis=0),
+    )
 
 
 def _same_places(one: Floats, other: Floats, sigma: Floats) -> Mask:
     """Return where two solutions have the same two places, in whatever order."""
-    ways = [np.abs(one[:2] - other[list(order)]) <= _SAME_SIGMAS * sigma for order in ((0, 1), (1, 0))]
+    orders = ((0, 1), (1, 0))
+    ways = [np.abs(wrapped(one[:2] - other[list(order)])) <= _SAME_SIGMAS * sigma for order in orders]
     return np.asarray(ways[0].all(axis=0) | ways[1].all(axis=0))
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """The least squares of a number of pixels; solutions are (4, n): two omega and two amplitudes."""
-
-    close: CloseSignal
-    told: Floats
-    told_sigma: Floats
-
-    def of(self, which: Ints | slice) -> _Fit:
-        """Return the fit of some of the pixels."""
-        return _Fit(self.close.chosen(which), self.told[:, which], self.told_sigma[:, which])
-
-    def best_start(self, found: Floats, side: float) -> Floats:
-        """Return the best of a grid of distances about the middle of what was found."""
-        places, light = found[:2], np.nan_to_num(found[2:])
-        middle = np.nansum(places * light, axis=0) / light.sum(axis=0)
-        share = self.told[1] / self.told.sum(axis=0)
-        span = len(self.close.densities) + self.close.densities[0]
-        best, least = np.empty((4, len(middle))), np.full(len(middle), np.inf)
-        for bins in _TRIED_BINS:
-            apart = side * bins * 2.0 * pi / span
-            start = np.stack([middle - share * apart, middle + (1.0 - share) * apart, *self.told])
-            misfit = self.misfit(start)
-            best = np.where(misfit < least, start, best)
-            least = np.minimum(misfit, least)
-        return best
-
-    def misfit(self, solution: Floats) -> Floats:
-        """Return chi-square of the signals alone, (n,)."""
-        return np.asarray(np.sum(self.close.weight * np.abs(self._residual(solution)) ** 2, axis=1))
-
-    def solved(self, solution: Floats) -> tuple[Floats, Floats]:
-        """Return the solution that starts at another, and chi-square there with the amplitudes'."""
-        solution, damping = solution.copy(), np.full(solution.shape[1], _DAMPING)
-        misfit = self._chi_square(solution)
-        moving = np.arange(len(misfit))
-        for _ in range(_STEPS):
-            if not moving.size:
-                break
-            part = self.of(moving)
-            normal, slope = part._equations(solution[:, moving])
-            diagonal = np.einsum("nii->ni", normal)
-            diagonal += damping[moving, None] * diagonal + np.finfo(np.float64).tiny
-            step = np.linalg.solve(normal, slope[..., None])[..., 0]
-            moved = solution[:, moving] + step.T
-            after = part._chi_square(moved)
-            better = after <= misfit[moving]
-            solution[:, moving[better]] = moved[:, better]
-            misfit[moving[better]] = after[better]
-            damping[moving] *= np.where(better, _EASIER, _HARDER)
-            moving = moving[~better | (np.einsum("ni,ni->n", step, slope) > _NEGLIGIBLE)]
-        return solution, misfit
-
-    def omega_sigma(self, solution: Floats) -> Floats:
-        """Return the standard deviations of both omega, (2, n)."""
-        normal, _ = self._equations(solution)
-        unit = np.sqrt(np.einsum("nii->ni", normal))
-        scale = unit[:, :, None] * unit[:, None, :]
-        variance = np.einsum("nii->ni", np.linalg.inv(normal / scale)) / unit**2
-        return np.asarray(np.sqrt(np.abs(variance[:, :2])).T)
-
-    def _chi_square(self, solution: Floats) -> Floats:
-        off = (self.told - solution[2:]) / self.told_sigma
-        return np.asarray(self.misfit(solution) + np.sum(off**2, axis=0))
-
-    def _residual(self, solution: Floats) -> Complexes:
-        left = self.close.signal.copy()
-        for omega, amplitude in zip(solution[:2], solution[2:], strict=True):
-            left -= amplitude[:, None] * self._light(omega)
-        return left
-
-    def _light(self, omega: Floats, derivatives: int = 0) -> Complexes:
-        """Return what a return of amplitude 1 shows, (n, densities), or a derivative of it by omega."""
-        close, ghosts = self.close, self.close.ghosts
-        turned = _turns(omega, close.densities)
-        factor = (1j * close.densities) ** derivatives
-        light = factor * close.transfer * turned
-        for order, forward, backward in zip(ghosts.orders, ghosts.forward, ghosts.backward, strict=True):
-            ahead = turned**order
-            light += order**derivatives * factor * forward * ahead
-            light += (-order) ** derivatives * factor * backward * ahead.conj()
-        return light
-
-    def _equations(self, solution: Floats) -> tuple[Floats, Floats]:
-        """Return the normal matrix (n, 4, 4) and the right-hand side (n, 4) of a step."""
-        places, lights = solution[:2], solution[2:]
-        slopes = [light[:, None] * self._light(omega, 1) for omega, light in zip(places, lights, strict=True)]
-        columns = np.stack([*slopes, *map(self._light, places)], axis=1).view(np.float64)
-        weighted = columns * np.repeat(self.close.weight, 2, axis=1)[:, None]
-        normal = weighted @ np.swapaxes(columns, 1, 2)
-        slope = (weighted @ self._residual(solution).view(np.float64)[..., None])[..., 0]
-        for k in (0, 1):
-            weight = 1.0 / self.told_sigma[k] ** 2
-            normal[:, 2 + k, 2 + k] += weight
-            slope[:, 2 + k] += weight * (self.told[k] - solution[2 + k])
-        return normal, slope
-
-
-def _turns(omega: Floats, densities: Floats) -> Complexes:
-    """Return exp(i omega t) of consecutive t, (n, densities): what is there, turned, is next."""
-    turned = np.empty((len(omega), len(densities)), np.complex128)
-    turned[:, 0] = np.exp(1j * omega * densities[0])
-    done, turn = 1, np.exp(1j * omega)[:, None]
-    while done < len(densities):
-        more = min(done, len(densities) - done)
-        np.multiply(turned[:, :more], turn, out=turned[:, done : done + more])
-        done, turn = done + more, turn * turn
-    return turned
