@@ -34,6 +34,9 @@ _AXES = ((0, 1), (1, 0), (1, 1), (1, -1))  # (down, right)
 _REACH = (2, 3)  # px to the middle of a plane: planes of 3 x 3 px that leave the pixel itself out
 _SPAN = 4  # px from which planes are told
 _STEP = 2.0 * _NEAR * sqrt(1.0 + 29.0 / 18.0)  # deviations; 29/18 is the variance of the farther plane, below
+_JUMPS = 15  # the bits of all axes
+_FOLD = 10.0  # deviations: of a fold that noise hides a spot of half a pixel takes off less than two
+_AT_ONCE = 1.0 / 3.0
 _HOLDS = 3
 _BESIDE = np.ones((3, 3), np.uint8)
 
@@ -97,14 +100,18 @@ def _plane(
 def _mark_steps(
     inverse: Floats, sigma: Floats, row: int, footprint: float, stepped: NDArray[np.uint8]
 ) -> None:
-    """Set bit a for pixels of a row that may lie on a jump along axis a; on a plane for one in 70.
+    """Set bit a for pixels of a row that may lie on a jump along axis a, on a plane for one in 70.
 
     There lines through the pixels 2 and 4 px away on either side are a step apart, or one of them is missing.
     Each line has a variance of 5, so that two are as far apart by chance for one in 70. The farther planes,
     of 3 x 3 px and 3 px away, have 1 / 9 + 9 / 6: two that miss a point from either side are `_STEP` apart.
+
+    Bit 4 + a is set where the surface folds along the axis: the slopes of both lines differ, by `_FOLD` of
+    their deviation, which is that of a pixel, and a third of that happens within a pixel. Of a bend a sixth
+    does, of a fold that a spot blurs about half.
     """
     columns = stepped.size
-    stepped[:] = 15
+    stepped[:] = _JUMPS
     if row < _SPAN or row >= inverse.shape[0] - _SPAN or columns <= 2 * _SPAN:
         return
     inner = columns - 2 * _SPAN
@@ -115,11 +122,17 @@ def _mark_steps(
         a, b, c, d = _SPAN - 4 * right, _SPAN - 2 * right, _SPAN + 2 * right, _SPAN + 4 * right
         first, second = inverse[row - 4 * down, a : a + inner], inverse[row - 2 * down, b : b + inner]
         third, fourth = inverse[row + 2 * down, c : c + inner], inverse[row + 4 * down, d : d + inner]
-        bit = np.uint8(1 << axis)
+        e, f = _SPAN - right, _SPAN + right
+        before, after = inverse[row - down, e : e + inner], inverse[row + down, f : f + inner]
+        bit, fold = np.uint8(1 << axis), np.uint8(16 << axis)
         for j in range(inner):
+            bend = _BEND * footprint * own[j]
             apart = abs((2.0 * second[j] - first[j]) - (2.0 * third[j] - fourth[j]))
-            near = apart < _STEP * deviation[j] + _BEND * footprint * own[j]
-            inside[j] |= np.uint8(0) if near else bit
+            turned = abs(0.5 * (first[j] - second[j] - third[j] + fourth[j]))
+            inside[j] |= np.uint8(0) if apart < _STEP * deviation[j] + bend else bit
+            here = abs(before[j] - 2.0 * own[j] + after[j])
+            folded = turned > _FOLD * deviation[j] + bend and here > _AT_ONCE * turned
+            inside[j] |= fold if folded else np.uint8(0)
 
 
 @kernel
@@ -208,7 +221,7 @@ def _mixed_rows(
             continue
         _mark_steps(inverse, sigma, row, footprint, stepped)
         for column in range(inverse.shape[1]):
-            if stepped[column] and asked[row, column]:
+            if stepped[column] & _JUMPS and asked[row, column]:
                 bend = _BEND * footprint * inverse[row, column]
                 at[2] = 0.25 * bend * bend
                 pixel, limits = (row, column), (bend, curve)
@@ -217,7 +230,14 @@ def _mixed_rows(
 
 @kernel
 def _excess(
-    inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, bend: float, at: Floats
+    inverse: Floats,
+    sigma: Floats,
+    pixel: Pixel,
+    down: int,
+    right: int,
+    bend: float,
+    folded: bool,
+    at: Floats,
 ) -> float:
     """Return the variance that a pixel is off what an axis says by, beyond what noise explains.
 
@@ -225,7 +245,8 @@ def _excess(
     9/4 of what the nearer one does, light of another surface by the same, so that 9/5 of the one less 4/5 of
     the other is what is no bend, but for a tenth of their difference at a limb. They share six pixels and
     thereby 1/6 of the nearer one's variance. What explains most counts. A side without a farther plane tells
-    nothing. Sides that agree are of one surface, and past the image nothing is known: there it is 0.
+    nothing. Sides that agree are of one surface: it is 0, unless that is folded there. Then the farther
+    planes say it, to which no spot reaches from the fold. Past the image nothing is known: it is 0, too.
     """
     if not _within(inverse, pixel, down, right):
         return 0.0
@@ -238,12 +259,16 @@ def _excess(
         if not _plane(inverse, sigma, row, column, closer * i, closer * j, np.inf, at):
             continue
         near, near_variance = here - at[0], at[1] * at[3]
-        if (near - before) ** 2 <= _NEAR**2 * (near_variance + before_variance) + bend**2:
+        agreed = (near - before) ** 2 <= _NEAR**2 * (near_variance + before_variance) + bend**2
+        if agreed and not folded:
             return 0.0
         before, before_variance = near, near_variance
         if not _plane(inverse, sigma, row, column, farther * i, farther * j, np.inf, at):
             continue
         far, far_variance = here - at[0], at[1] * at[3]
+        if folded:
+            least = min(least, far**2 - far_variance)
+            continue
         shared = near_variance / 6.0
         bent = sqrt(max((far - near) ** 2 - near_variance - far_variance + 2.0 * shared, 0.0))
         straight = max(abs(1.8 * near - 0.8 * far) - _CURVED * bent, 0.0)
@@ -266,8 +291,9 @@ def _excess_rows(
                 bend = _BEND * footprint * inverse[row, column]
                 at[2] = 0.25 * bend * bend
                 for axis, (down, right) in enumerate(_AXES):
-                    if stepped[column] >> axis & 1:
-                        found = _excess(inverse, sigma, (row, column), down, right, bend, at)
+                    folded = bool(stepped[column] >> 4 + axis & 1)
+                    if folded or stepped[column] >> axis & 1:
+                        found = _excess(inverse, sigma, (row, column), down, right, bend, folded, at)
                         variance[row, column] = max(variance[row, column], found)
 
 
@@ -361,10 +387,11 @@ def between_surfaces(seen: InverseDepths, asked: Mask, threads: int = 1) -> Mask
 
 
 def beyond_noise(seen: InverseDepths, asked: Mask, threads: int = 1) -> Floats:
-    """Return by how much points beside a jump are off the nearest plane beyond what noise explains.
+    """Return by how much points beside a jump or on a fold are off the nearest plane beyond noise.
 
-    That is light of the other surface, too little to be told, or the bend of a limb within a pixel. The
-    arguments are those of `between_surfaces`, without the pixels that it finds.
+    That is light of the other surface, too little to be told; the bend of a limb within a pixel; or what a
+    spot takes off a fold, which is higher or lower than both of its faces say. The arguments are those of
+    `between_surfaces`, without the pixels that it finds.
 
     Returns
     -------
