@@ -27,7 +27,7 @@ from sms_jobs.records.shown.portion import Portion
 RIG = """
 name = "small-virtual-rig"
 cameras = [{{ name = "C1", driver = "simulated", columns = 128, rows = 128 }}]
-projectors = [{{ name = "P1", driver = "simulated", columns = 256, rows = 192 }}]
+projectors = [{{ name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 }}]
 file_channels = [
     {{ name = "load_n", path = "{readings}", column = "1", unit = "kN", stale_after_s = 0 }},
     {{ name = "temp_c", path = "{readings}", column = "2", unit = "C", stale_after_s = 0 }},

@@ -24,7 +24,7 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 RIG = """
 name = "bench"
 cameras = [{ name = "C1", driver = "simulated", columns = 128, rows = 128 }]
-projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192 }]
+projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 }]
 file_channels = [
     { name = "load_n", path = "load.csv", column = "load", unit = "kN" },
     { name = "cycles", path = "load.csv", column = "cycles", unit = "1" },

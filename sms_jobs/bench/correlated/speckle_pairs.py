@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.compilation import kernel
 from sms_jobs.records.scene import CameraResponse, Speckle
 from sms_jobs.virtual_rig.laser_speckle import LaserSpeckle, laser_speckle, rough_light
 from sms_jobs.virtual_rig.light import SUBSAMPLES
@@ -101,21 +102,23 @@ def stamped(
     near: tuple[Floats, Floats],
 ) -> Floats:
     """Return the sum of blobs at the points that pixels (rows, columns) show; each is near a place there."""
-    rows, columns = shape
-    offset = np.arange(-_REACH, _REACH + 1)
-    grey = np.zeros(rows * columns)
-    block = 2000
-    for start in range(0, len(height), block):
-        part = np.s_[start : start + block]
-        column = np.rint(near[0][part]).astype(np.int64)[:, None, None] + offset
-        row = np.rint(near[1][part]).astype(np.int64)[:, None, None] + offset[:, None]
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        index = np.where(inside, row * columns + column, 0)
-        dx = shows[0].ravel()[index] - blob[0][part][:, None, None]
-        dy = shows[1].ravel()[index] - blob[1][part][:, None, None]
-        light = height[part][:, None, None] * np.exp(-0.5 * (dx * dx + dy * dy) / BLOB_PX**2)
-        grey += np.bincount(index[inside], light[inside], rows * columns)
-    return grey.reshape(shape)
+    grey = np.zeros(shape)
+    _stamp(grey, *blob, height, shows[0].reshape(shape), shows[1].reshape(shape), *near)
+    return grey
+
+
+@kernel
+def _stamp(
+    grey: Floats, x: Floats, y: Floats, height: Floats, shown_x: Floats, shown_y: Floats,
+    near_x: Floats, near_y: Floats,
+) -> None:  # fmt: skip
+    rows, columns = grey.shape
+    for k in range(height.size):
+        column, row = int(np.rint(near_x[k])), int(np.rint(near_y[k]))
+        for i in range(max(row - _REACH, 0), min(row + _REACH + 1, rows)):
+            for j in range(max(column - _REACH, 0), min(column + _REACH + 1, columns)):
+                dx, dy = shown_x[i, j] - x[k], shown_y[i, j] - y[k]
+                grey[i, j] += height[k] * np.exp(-0.5 * (dx * dx + dy * dy) / BLOB_PX**2)
 
 
 def shift(u: float, v: float) -> Displacement:

@@ -25,4 +25,5 @@ def test_a_small_catalogue_is_asked_and_gives_no_figure(home: Path, monkeypatch:
     for question in QUESTIONS:
         # Thirteen of files, and as many as eight hundred jobs come to.
         assert "17 campaigns, 20000 files whose jobs have succeeded, 800 that" in conditions[question]
-    assert conditions["find_1m_rows_postgresql"].startswith("left out")
+    assert conditions["find_1m_rows"].startswith("20000 files")
+    assert conditions["find_1m_rows_postgresql"] == f"left out: no server in {POSTGRESQL}"

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sms_jobs.bench.figures import Condition, Figure, Run
-from sms_jobs.bench.groups import all_groups, archive, catalogue, jobs, recording
-from sms_jobs.bench.servers import POSTGRESQL
+from sms_jobs.bench.figures import Figure, Run
+from sms_jobs.bench.groups import all_groups, archive, jobs, recording
 from sms_jobs.settings import load
 
 
@@ -20,19 +19,12 @@ def test_the_groups_are_found() -> None:
     assert {"archive", "catalogue", "jobs"} <= all_groups().keys()
 
 
-def test_queries_among_a_few_files_are_no_figure_of_a_million(
+def test_the_archive_is_measured_and_its_figures_are_speeds(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(POSTGRESQL, raising=False)
-    found = list(catalogue.measure(Run(True, said, 1, home)))
-    figures = {f.name: f for f in found if isinstance(f, Figure)}
-    assert figures["find_1m_rows_ms"].value is None
-    conditions = {c.topic: c.text for c in found if isinstance(c, Condition)}
-    assert conditions["find_1m_rows"].startswith("20000 files")
-    assert POSTGRESQL in conditions["find_1m_rows_postgresql"]
-
-
-def test_the_archive_is_measured_and_its_figures_are_speeds(home: Path) -> None:
+    # Speeds of frames of any size are speeds.
+    monkeypatch.setattr(archive, "ROWS", 256)
+    monkeypatch.setattr(archive, "COLUMNS", 320)
     figures = [f for f in archive.measure(Run(True, said, 1, home)) if isinstance(f, Figure)]
     assert all(f.value is not None and f.value > 0.0 for f in figures)
     names = {"write_frames_mb_s", "read_slab_mb_s", "seal_50mb_ms", "verify_mb_s"}

@@ -45,7 +45,7 @@ def rig_file(faults: tuple[OpticalFault, ...] = ()) -> RigFile:
     return RigFile(
         "virtual",
         (VirtualCamera("C1", 128, 128, "simulated", faults=faults), VirtualCamera("C2", 96, 96, "simulated")),
-        (VirtualProjector("P1", 256, 192, "simulated"), VirtualProjector("P2", 256, 192, "simulated")),
+        tuple(VirtualProjector(name, 256, 192, "simulated", settle_ms=1.0) for name in ("P1", "P2")),
     )
 
 
