@@ -7,6 +7,7 @@ their middles off their points, and errors that cancel in the blend. Their own v
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
@@ -16,7 +17,7 @@ from sms_jobs.metrology.arrays import Floats, Labels, Singles
 from sms_jobs.metrology.deformation.matching.subsets import RIM
 from sms_jobs.metrology.images.masks import distance_inside
 
-_RADIUS = 12
+RADIUS = 12
 """Of the subsets that are summed, in px: in proportion to their size all are alike."""
 _DEEP = 3
 """Radii of a subset from a border, beyond which it changes nothing."""
@@ -40,31 +41,33 @@ def border_factors(labels: Labels, radius: int, terms: int, reach: float) -> Flo
     reach
         Distance over which matches are blended, in radii.
     """
-    scale = (radius + 0.5) / (_RADIUS + 0.5)
-    rim = min(round(RIM / scale), _RADIUS // 2)  # beyond, too little of a subset is left to be matched
-    of_image = _beside_a_border(terms, reach, rim)
-    of_region = _beside_a_border(terms, reach, 0)
-    depth = (_from_border(*labels.shape) - RIM + 0.5) / scale - 0.5
-    factors = np.interp(depth, _depths(rim), of_image)
-    return np.asarray(
-        factors * np.interp((_from_edges(labels, radius) + 0.5) / scale - 0.5, _depths(0), of_region)
-    )
+    return by_borders(labels, radius, lambda rim: _beside_a_border(terms, reach, rim))
 
 
-def _depths(rim: int) -> Floats:
-    """Return the distances that are summed for, in px from the outermost pixel of a subset of `_RADIUS`."""
-    return np.concatenate([[-rim - 0.5], np.arange(-rim, _DEEP * _RADIUS + 1)])
+def by_borders(labels: Labels, radius: int, told: Callable[[int], Floats]) -> Floats:
+    """Return what borders do at pixels (rows, columns), by what is told at `depths` for a rim."""
+    scale = (radius + 0.5) / (RADIUS + 0.5)
+    rim = min(round(RIM / scale), RADIUS // 2)  # beyond, too little of a subset is left to be matched
+    from_border = (_from_border(*labels.shape) - RIM + 0.5) / scale - 0.5
+    from_edges = (_from_edges(labels, radius) + 0.5) / scale - 0.5
+    of_image = np.interp(from_border, depths(rim), told(rim))
+    return np.asarray(of_image * np.interp(from_edges, depths(0), told(0)))
 
 
-def _fits(rim: int, last: int, terms: int, rows: int) -> list[tuple[int, Floats, float]]:
+def depths(rim: int) -> Floats:
+    """Return the distances that are summed for, in px from the outermost pixel of a subset of `RADIUS`."""
+    return np.concatenate([[-rim - 0.5], np.arange(-rim, _DEEP * RADIUS + 1)])
+
+
+def _fits(radius: int, rim: int, last: int, terms: int, rows: int) -> list[tuple[int, Floats, float]]:
     """Return of matches -rim .. last px from a border their first column, weights of pixels and variance.
 
     The weights (terms, rows / 2, columns) are transformed along the border.
     """
-    down = np.arange(-_RADIUS, _RADIUS + 1.0)[:, None]
+    down = np.arange(-radius, radius + 1.0)[:, None]
     found = []
     for place in range(-rim, last + 1):
-        right = np.arange(max(-_RADIUS, -place), _RADIUS + 1.0)
+        right = np.arange(max(-radius, -place), radius + 1.0)
         basis = _basis(right, down, terms)
         fit = np.linalg.pinv(basis.reshape(terms, -1)).T.reshape(basis.shape)
         found.append((place + int(right[0]), fft.rfft(fit, rows, axis=1), float(np.sum(fit[0] ** 2))))
@@ -77,34 +80,44 @@ def _basis(x: Floats, y: Floats, terms: int) -> Floats:
     return np.stack(every)[:terms]
 
 
-@cache
-def _beside_a_border(terms: int, reach: float, rim: int) -> Floats:
-    """Return the variance of blended matches over that which is the same far from a straight border.
+def seen_beside_a_border(
+    terms: int, reach: float, rim: int, radius: int = RADIUS, margin: int = 0
+) -> Iterator[tuple[Floats, float]]:
+    """Yield what pixels (rows, columns) weigh in blended matches at `depths`, and the matches' mean variance.
 
-    Both over the mean of the matches' own variances, at `_depths`. Of white noise through subsets of
-    `_RADIUS` about every pixel, also `rim` px beyond where they are cut, and weights of `blend_matches`.
+    Of subsets of a radius up to `RADIUS` about every pixel, also `rim` px beyond where they are cut, and
+    weights of `blend_matches`. Subsets are cut `margin` px further in than distances are counted from.
     """
-    far = reach * _RADIUS
+    far = reach * radius
     wide = int(np.ceil(far))
-    rows, last = 2 * (wide + _RADIUS) + 1, _DEEP * _RADIUS + wide
-    fits = _fits(rim, last, terms, rows)
+    rows, last = 6 * RADIUS + 1, _DEEP * RADIUS + wide
+    fits = _fits(radius, min(rim, radius // 2), last, terms, rows)
     down = np.arange(-wide, wide + 1.0)
-    ratios = []
-    for depth in _depths(rim):
-        pixels = np.zeros((last + _RADIUS + 1, rows // 2 + 1), dtype=complex)
+    for depth in depths(rim):
+        pixels = np.zeros((_DEEP * RADIUS + 3 * RADIUS, rows // 2 + 1), dtype=complex)
         total = stated = 0.0
-        for place, (first, fit, variance) in enumerate(fits, start=-rim):
-            off = depth - place
+        for place, (first, fit, variance) in enumerate(fits, start=-min(rim, radius // 2)):
+            off = depth - margin - place
             if abs(off) >= far:
                 continue
             weight = np.maximum(1.0 - (off**2 + down**2) / far**2, 0.0) ** 2 / variance
             total += float(weight.sum())
             stated += float(weight.sum()) * variance
             said = fft.rfft(_basis(np.full_like(down, off), -down, terms) * weight, rows, axis=1)
-            pixels[first : first + fit.shape[2]] += np.einsum("tk,tki->ik", said, fit)
-        blended = fft.irfft(pixels, rows, axis=1)
-        ratios.append(float(np.sum(blended**2)) / (total * stated))
-    return np.array(ratios) / ratios[-1]
+            at = np.s_[margin + first : margin + first + fit.shape[2]]
+            pixels[at] += np.einsum("tk,tki->ik", said, fit)
+        yield fft.irfft(pixels, rows, axis=1) / total, stated / total
+
+
+@cache
+def _beside_a_border(terms: int, reach: float, rim: int) -> Floats:
+    """Return the variance of blended matches over that which is the same far from a straight border.
+
+    Both over the mean of the matches' own variances, at `depths`, of white noise.
+    """
+    seen = seen_beside_a_border(terms, reach, rim)
+    ratios = np.array([float(np.sum(weights**2)) / stated for weights, stated in seen])
+    return np.asarray(ratios / ratios[-1])
 
 
 def _from_border(rows: int, columns: int) -> Floats:
