@@ -23,6 +23,7 @@ _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,  # to be called from C, which nobody does and takes a twentieth of compilation
 }
+_REORDERED = {"reassoc", "contract"}
 
 
 def kernel(function: F) -> F:
@@ -46,8 +47,13 @@ def summing_kernel(function: F) -> F:
 
     For inner loops of long sums, where it is worth a factor of two; NaN and infinity keep their meaning.
     """
-    options = {"reassoc", "contract"}
-    return cast(F, cached(numba.njit(**_OPTIONS, fastmath=options)(function)))
+    return cast(F, cached(numba.njit(**_OPTIONS, fastmath=_REORDERED)(function)))
+
+
+def uncounted_summing_kernel(function: F) -> F:
+    """Compile `function` as `summing_kernel` does, without counting, as `uncounted_kernel`."""
+    options = _OPTIONS | {"_nrt": False}
+    return cast(F, cached(numba.njit(**options, fastmath=_REORDERED)(function)))
 
 
 def inlined(function: F) -> F:

@@ -32,7 +32,7 @@ ARGUMENTS_OF_A_FUNCTION = 10
 USED_BY_PEOPLE = {"sms_jobs/lab/__init__.py"}  # in notebooks, as in docs/python.md
 USED_BY_TESTS = {"controller"}  # tells what a simulated controller was commanded
 CUTS = {"split", "rsplit", "partition", "rpartition", "replace", "count", "startswith", "endswith"}
-KERNELS = {"kernel", "uncounted_kernel", "summing_kernel", "inlined"}
+KERNELS = {"kernel", "uncounted_kernel", "summing_kernel", "uncounted_summing_kernel", "inlined"}
 
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
