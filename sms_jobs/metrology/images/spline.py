@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats, Ints
-from sms_jobs.metrology.compilation import inlined, kernel, summing_kernel
+from sms_jobs.metrology.compilation import inlined, kernel, uncounted_summing_kernel
 
 Interpolant: TypeAlias = Literal["quintic", "cubic", "local-cubic"]
 """The quintic and cubic B-splines through an image, or cubic B-splines each through 4 x 4 pixels alone."""
@@ -36,8 +36,10 @@ _SLOPE_TAPS: Final[dict[Interpolant, Floats]] = {
     "cubic": np.array([-1.0, 0.0, 1.0]) / 2.0,
     "quintic": np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0,
 }
-_LONG_RUN = 12  # pixels from which on a run is worth the start of its own loop
-_ONE, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(number) for number in (1, 2, 3, 4, 5))
+_LONG_RUN = 16  # pixels from which on a run is worth the start of its own loop
+_STRETCH = 4  # and those from which on a stretch is
+_STRETCHED = 2  # columns by which the first coefficients of a stretch may be nearer or farther than a run's
+_ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(number) for number in range(1, 8))
 _PER_14400 = 1.0 / 14400.0
 _QUINTIC_TAPS = np.array(
     [
@@ -98,6 +100,20 @@ def spline_gradient(coefficients: Floats, interpolant: Interpolant = "quintic") 
 
 
 @inlined
+def _quintic_weights(a: float) -> tuple[float, float, float, float, float, float]:
+    """Return 120 times the weights of six coefficients at 0 <= a <= 1 past the third."""
+    a2 = a * a
+    a3 = a2 * a
+    a4 = a2 * a2
+    c5 = a4 * a
+    c0 = 1.0 - 5.0 * a + 10.0 * a2 - 10.0 * a3 + 5.0 * a4 - c5
+    c1 = 26.0 - 50.0 * a + 20.0 * a2 + 20.0 * a3 - 20.0 * a4 + 5.0 * c5
+    c2 = 66.0 - 60.0 * a2 + 30.0 * a4 - 10.0 * c5
+    c4 = 1.0 + 5.0 * a + 10.0 * a2 + 10.0 * a3 + 5.0 * a4 - 5.0 * c5
+    return c0, c1, c2, 120.0 - c0 - c1 - c2 - c4 - c5, c4, c5
+
+
+@inlined
 def _six(
     flat: Floats, p: np.uint64, c0: float, c1: float, c2: float, c3: float, c4: float, c5: float
 ) -> float:
@@ -107,17 +123,17 @@ def _six(
     return near + far
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _quintic_run(
-    flat: Floats, columns: int, place: int, start: int, stop: int, s: Floats, t: Floats, values: Floats
+    flat: Floats, columns: int, level: int, start: int, stop: int, s: Floats, t: Floats, values: Floats
 ) -> None:
-    """Fill the values of a quintic at neighbours: point start + k is s, t past coefficient place + k + 2.
+    """Fill the values of a quintic at neighbours: point k is s, t past coefficient level + k + 2.
 
     That is the third of six rows. The taps are written out so that the compiler handles several points at a
     time; indices are unsigned so that no negative one needs a check, and arrays whole since slices cost more
     than the points of a short run.
     """
-    down, ahead = np.uint64(columns), np.uint64(place - start)
+    down, ahead = np.uint64(columns), np.uint64(level)
     for index in range(start, stop):
         k = np.uint64(index)
         p0 = k + ahead
@@ -126,26 +142,8 @@ def _quintic_run(
         p3 = p2 + down
         p4 = p3 + down
         p5 = p4 + down
-        a = s[k]
-        a2 = a * a
-        a3 = a2 * a
-        a4 = a2 * a2
-        c5 = a4 * a
-        c0 = 1.0 - 5.0 * a + 10.0 * a2 - 10.0 * a3 + 5.0 * a4 - c5
-        c1 = 26.0 - 50.0 * a + 20.0 * a2 + 20.0 * a3 - 20.0 * a4 + 5.0 * c5
-        c2 = 66.0 - 60.0 * a2 + 30.0 * a4 - 10.0 * c5
-        c4 = 1.0 + 5.0 * a + 10.0 * a2 + 10.0 * a3 + 5.0 * a4 - 5.0 * c5
-        c3 = 120.0 - c0 - c1 - c2 - c4 - c5
-        b = t[k]
-        b2 = b * b
-        b3 = b2 * b
-        b4 = b2 * b2
-        d5 = b4 * b
-        d0 = 1.0 - 5.0 * b + 10.0 * b2 - 10.0 * b3 + 5.0 * b4 - d5
-        d1 = 26.0 - 50.0 * b + 20.0 * b2 + 20.0 * b3 - 20.0 * b4 + 5.0 * d5
-        d2 = 66.0 - 60.0 * b2 + 30.0 * b4 - 10.0 * d5
-        d4 = 1.0 + 5.0 * b + 10.0 * b2 + 10.0 * b3 + 5.0 * b4 - 5.0 * d5
-        d3 = 120.0 - d0 - d1 - d2 - d4 - d5
+        c0, c1, c2, c3, c4, c5 = _quintic_weights(s[k])
+        d0, d1, d2, d3, d4, d5 = _quintic_weights(t[k])
         total = d0 * _six(flat, p0, c0, c1, c2, c3, c4, c5)
         total += d1 * _six(flat, p1, c0, c1, c2, c3, c4, c5)
         total += d2 * _six(flat, p2, c0, c1, c2, c3, c4, c5)
@@ -155,7 +153,59 @@ def _quintic_run(
         values[k] = total * _PER_14400
 
 
-@summing_kernel
+@inlined
+def _eight(
+    flat: Floats, p: np.uint64,
+    e0: float, e1: float, e2: float, e3: float, e4: float, e5: float, e6: float, e7: float,
+) -> float:  # fmt: skip
+    """Return the sum of eight coefficients in a row, each times its weight."""
+    near: float = e0 * flat[p] + e1 * flat[p + _ONE] + e2 * flat[p + _TWO] + e3 * flat[p + _THREE]
+    far: float = e4 * flat[p + _FOUR] + e5 * flat[p + _FIVE] + e6 * flat[p + _SIX] + e7 * flat[p + _SEVEN]
+    return near + far
+
+
+@uncounted_summing_kernel
+def _quintic_stretch(
+    flat: Floats, columns: int, level: int, start: int, stop: int,
+    first: Ints, s: Floats, t: Floats, values: Floats,
+) -> None:  # fmt: skip
+    """Fill the values of a quintic at near neighbours: point k has its first coefficient at k + level, or up
+    to two further on.
+
+    All points take eight columns, of which two have no weight: so several can be done at a time though what
+    they need does not lie beside each other.
+    """
+    down, ahead = np.uint64(columns), np.uint64(level)
+    for index in range(start, stop):
+        k = np.uint64(index)
+        p0 = k + ahead
+        p1 = p0 + down
+        p2 = p1 + down
+        p3 = p2 + down
+        p4 = p3 + down
+        p5 = p4 + down
+        beyond = first[k] - index - level
+        one, two = beyond == 1, beyond == 2
+        c0, c1, c2, c3, c4, c5 = _quintic_weights(s[k])
+        e0 = 0.0 if one | two else c0
+        e1 = 0.0 if two else (c0 if one else c1)
+        e2 = c0 if two else (c1 if one else c2)
+        e3 = c1 if two else (c2 if one else c3)
+        e4 = c2 if two else (c3 if one else c4)
+        e5 = c3 if two else (c4 if one else c5)
+        e6 = c4 if two else (c5 if one else 0.0)
+        e7 = c5 if two else 0.0
+        d0, d1, d2, d3, d4, d5 = _quintic_weights(t[k])
+        total = d0 * _eight(flat, p0, e0, e1, e2, e3, e4, e5, e6, e7)
+        total += d1 * _eight(flat, p1, e0, e1, e2, e3, e4, e5, e6, e7)
+        total += d2 * _eight(flat, p2, e0, e1, e2, e3, e4, e5, e6, e7)
+        total += d3 * _eight(flat, p3, e0, e1, e2, e3, e4, e5, e6, e7)
+        total += d4 * _eight(flat, p4, e0, e1, e2, e3, e4, e5, e6, e7)
+        total += d5 * _eight(flat, p5, e0, e1, e2, e3, e4, e5, e6, e7)
+        values[k] = total * _PER_14400
+
+
+@uncounted_summing_kernel
 def _quintic_points(
     flat: Floats, columns: int, start: int, stop: int, taps: Floats,
     first: Ints, s: Floats, t: Floats, values: Floats,
@@ -170,16 +220,7 @@ def _quintic_points(
     for index in range(start, stop):
         k = np.uint64(index)
         a = s[k]
-        b = t[k]
-        b2 = b * b
-        b3 = b2 * b
-        b4 = b2 * b2
-        d5 = b4 * b
-        d0 = 1.0 - 5.0 * b + 10.0 * b2 - 10.0 * b3 + 5.0 * b4 - d5
-        d1 = 26.0 - 50.0 * b + 20.0 * b2 + 20.0 * b3 - 20.0 * b4 + 5.0 * d5
-        d2 = 66.0 - 60.0 * b2 + 30.0 * b4 - 10.0 * d5
-        d4 = 1.0 + 5.0 * b + 10.0 * b2 + 10.0 * b3 + 5.0 * b4 - 5.0 * d5
-        d3 = 120.0 - d0 - d1 - d2 - d4 - d5
+        d0, d1, d2, d3, d4, d5 = _quintic_weights(t[k])
         p0 = np.uint64(first[k])
         p1 = p0 + down
         p2 = p1 + down
@@ -219,7 +260,7 @@ def _cubic_taps(a: float, local: bool) -> tuple[float, float, float, float]:
     )
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _cubic_points(
     flat: Floats, columns: int, local: bool, count: int, first: Ints, s: Floats, t: Floats, values: Floats
 ) -> None:
@@ -250,6 +291,21 @@ def _in_step(first: Ints, start: int, level: int) -> int:
     return alike
 
 
+@inlined
+def _end_of_stretch(first: Ints, start: int, stop: int, count: int) -> tuple[int, int]:
+    """Return where a stretch ends, of which points `start` to `stop` are a run, and its lowest level."""
+    low = first[start] - start
+    high = low
+    while stop < count:
+        level = first[stop] - stop
+        lower, higher = min(low, level), max(high, level)
+        if higher - lower > _STRETCHED:
+            break
+        low, high = lower, higher
+        stop += 1
+    return stop, low
+
+
 @kernel
 def spline_values(
     coefficients: Floats, code: int, count: int, first: Ints, s: Floats, t: Floats, values: Floats
@@ -258,15 +314,16 @@ def spline_values(
 
     Point k lies s[k] columns and t[k] rows, 0 .. 1, past the coefficient two rows below and two columns right
     of number first[k] of `coefficients`, counted row by row. In images that are hardly turned most
-    neighbours share their rows of coefficients: such runs go through a loop that the compiler vectorises.
+    neighbours share their rows of coefficients: such runs go through a loop that the compiler vectorises, and
+    so do those of a subset that the deformed image shows wider or narrower by up to a quarter.
     """
     columns = coefficients.shape[1]
     flat = coefficients.ravel()
     if code != 5:
         _cubic_points(flat, columns, code == 0, count, first, s, t, values)
         return
-    last = flat.size - 5 * columns - 5  # the first coefficient of which there is none any more
-    scattered = 0  # where the points begin that no run has taken
+    last = flat.size - 5 * columns - _LANES + 1  # the first coefficient that has no eight in each row
+    scattered = 0  # where the points begin that neither run nor stretch has taken
     start = 0
     while start < count:
         level = first[start] - start
@@ -275,12 +332,18 @@ def spline_values(
             stop += _LANES
         while stop < count and first[stop] - stop == level:
             stop += 1
-        n = stop - start
-        if n >= _LONG_RUN:
+        is_run = stop - start >= _LONG_RUN
+        if not is_run:
+            stop, level = _end_of_stretch(first, start, stop, count)
+        # The last points of an image have no eight coefficients.
+        if stop - start >= _STRETCH and stop + level <= last:
             _quintic_points(flat, columns, scattered, start, _QUINTIC_TAPS, first, s, t, values)
             scattered = stop
             # Some points more fill the last instruction: they belong to what follows, and are done again.
-            more = min(start + -(-n // _LANES) * _LANES, count, start + last - first[start])
-            _quintic_run(flat, columns, first[start], start, max(more, stop), s, t, values)
+            more = max(stop, min(start + -(-(stop - start) // _LANES) * _LANES, count, last - level))
+            if is_run:
+                _quintic_run(flat, columns, level, start, more, s, t, values)
+            else:
+                _quintic_stretch(flat, columns, level, start, more, first, s, t, values)
         start = stop
     _quintic_points(flat, columns, scattered, count, _QUINTIC_TAPS, first, s, t, values)

@@ -56,6 +56,18 @@ def test_runs_of_neighbours_and_scattered_points_agree(
     np.testing.assert_allclose(values_at(image, x, y, order), expected_at(image, x, y, order), atol=1e-9)
 
 
+@pytest.mark.parametrize("stretch", [-0.3, -0.17, -0.1, 0.06, 0.1, 0.17, 0.3, 0.6])
+def test_stretched_neighbours_are_interpolated_as_others_are(
+    rng: np.random.Generator, stretch: float
+) -> None:
+    """Their coefficients skip columns, or share them: up to two go through a loop of their own."""
+    image = rng.uniform(0.0, 4095.0, (60, 100))
+    j, i = (v.ravel().astype(np.float64) for v in np.mgrid[0:20, 0:33])
+    x, y = 25.3 + (1.0 + stretch) * i + 0.02 * j, 20.6 + j + 0.03 * i
+    # Rounding: 36 products of numbers near 10^4.
+    np.testing.assert_allclose(values_at(image, x, y), expected_at(image, x, y, "quintic"), atol=1e-9)
+
+
 @orders
 def test_the_spline_goes_over_the_border_by_reflection(rng: np.random.Generator, order: Order) -> None:
     image = rng.uniform(0.0, 4095.0, (30, 30))

@@ -15,7 +15,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints
-from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.compilation import kernel, uncounted_summing_kernel
 from sms_jobs.metrology.images.spline import PADDING
 
 ShapeOrder: TypeAlias = Literal[0, 1, 2]
@@ -61,7 +61,7 @@ def inside(
     return True
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def places(
     warp: Floats, order: int, cx: int, cy: int, columns: int, count: int, dx: Floats, dy: Floats,
     first: Ints, s: Floats, t: Floats,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import inlined, kernel, summing_kernel
+from sms_jobs.metrology.compilation import inlined, kernel, uncounted_summing_kernel
 from sms_jobs.metrology.deformation.matching.shape_functions import inside
 
 _FLAT = 0.01  # determinant below which a subset is seen edge-on: nothing is known of its blur
@@ -117,7 +117,7 @@ def collect(
 # Sums are local numbers, not elements of an array: only then are several pixels added at a time.
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _slope_sums(
     count: int, weight: Floats, f: Floats, x: Floats, y: Floats, order: int, sums: Floats
 ) -> None:
@@ -150,7 +150,7 @@ def _slope_sums(
         sums[9], sums[10], sums[11] = 0.5 * sf, sfx, 0.5 * sfy
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _product_sums(count: int, a: Floats, b: Floats, x: Floats, y: Floats, order: int, h: Floats) -> None:
     """Fill the sums of a b x^i y^j, i + j up to 2 or to 4: (0, 0), (1, 0), (0, 1), (2, 0), (1, 1) .."""
     s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -206,7 +206,7 @@ def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -
             hessian[columns[n], rows[m]] = value
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> None:
     """Fill the sums of f, f^2, dx^2, dy^2."""
     total, square, xx, yy = 0.0, 0.0, 0.0, 0.0
@@ -247,7 +247,7 @@ def reference_sums(
     _levels(count, dx, dy, f, moments)
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def deformed_sums(
     count: int, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, g: Floats, order: int,
     jg: Floats, moments: Floats,
