@@ -245,8 +245,8 @@ def _excess(
     9/4 of what the nearer one does, light of another surface by the same, so that 9/5 of the one less 4/5 of
     the other is what is no bend, but for a tenth of their difference at a limb. They share six pixels and
     thereby 1/6 of the nearer one's variance. What explains most counts. A side without a farther plane tells
-    nothing. Sides that agree are of one surface: it is 0, unless that is folded there. Then the farther
-    planes say it, to which no spot reaches from the fold. Past the image nothing is known: it is 0, too.
+    nothing. Sides that agree are of one surface: it is 0, unless that is folded there. Past the image nothing
+    is known: it is 0, too.
     """
     if not _within(inverse, pixel, down, right):
         return 0.0
@@ -266,9 +266,6 @@ def _excess(
         if not _plane(inverse, sigma, row, column, farther * i, farther * j, np.inf, at):
             continue
         far, far_variance = here - at[0], at[1] * at[3]
-        if folded:
-            least = min(least, far**2 - far_variance)
-            continue
         shared = near_variance / 6.0
         bent = sqrt(max((far - near) ** 2 - near_variance - far_variance + 2.0 * shared, 0.0))
         straight = max(abs(1.8 * near - 0.8 * far) - _CURVED * bent, 0.0)
