@@ -10,13 +10,11 @@ import pytest
 
 from sms_jobs.metrology.deformation.fields import displacement
 from sms_jobs.metrology.deformation.fields.averaging import average_in_region
-from sms_jobs.metrology.deformation.fields.border_noise import border_factors
 from sms_jobs.metrology.deformation.fields.displacement import (
     ImagePoints,
     StateShape,
     blend_matches,
     blended,
-    blending_reach,
     displacement_field,
     pixel_pitch,
 )
@@ -106,8 +104,7 @@ def test_the_noise_of_what_is_blended_is_the_mean_of_the_matches_noise(rng: np.r
     known = labels > 0
     np.testing.assert_array_equal(found.value[:, known], whole.value[:, known])
     # Matches are alike, so that the blend has 1.39 times the variance of each wherever it is not carried.
-    borders = border_factors(labels, radius, 3, blending_reach(1, 6))[known]
-    np.testing.assert_allclose(whole.noise[:, known], [1.39 * 2e-3**2 * borders] * 2)
+    np.testing.assert_allclose(whole.noise[:, known], 1.39 * 2e-3**2)
     assert (found.variance[:, known] >= whole.noise[:, known] * (1.0 - 1e-12)).all()
     assert (found.variance[:, 0, 0] > 2.0 * whole.noise[:, 0, 0]).all()
     as_values = replace(every, warp=np.stack([part, *np.zeros((5, count))], axis=1))
@@ -167,10 +164,7 @@ def test_quadratic_matches_are_blended_to_the_fourth_derivative() -> None:
 
     error, variance, _ = blended(lambda at: 0.3 - 0.02 * at + 1e-4 * at**2)
     np.testing.assert_allclose(error, 0.0, atol=1e-12)
-    borders = border_factors(labels, radius, 6, blending_reach(1, 12))
-    np.testing.assert_allclose(variance, [0.81 * 0.01**2 * borders] * 2)
-    # Of subsets that are cut beside the border nothing is left three radii further in.
-    np.testing.assert_allclose(borders[70:-70, 70:-70], 1.0, rtol=1e-3)
+    np.testing.assert_allclose(variance, 0.81 * 0.01**2)
     error, _, single = blended(lambda at: 1e-8 * at**4)
     # Of x^4 a subset of radius r leaves 3/35 r^4 at its centre.
     assert abs(single.mean()) == pytest.approx(1e-8 * radius**4 * 3.0 / 35.0, rel=0.2)

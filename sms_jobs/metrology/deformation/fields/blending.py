@@ -12,8 +12,9 @@ _HALF_DISC = 0.29
 _LANES = 8  # matches that one instruction may take
 _BEYOND = 1.0 + 1e-9
 """Squared distance, in those of the reach, from which on a match weighs nothing however it is rounded."""
-_CHANCE = 5.0
-"""By trial at borders: the scatter of such matches by noise, in variances of the blend far from borders."""
+_CARRIED, _CHANCE = 0.25, 5.0
+"""By trial at borders: the part of such matches' scatter that noise alone makes an error, and that scatter in
+variances of the blend."""
 
 
 @summing_kernel
@@ -126,15 +127,13 @@ def _gather(
 @kernel
 def blend_rows(
     start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
-    matches: Floats, reach: float, factor: float, borders: Floats,
-    value: Floats, variance: Floats, noise: Floats,
+    matches: Floats, reach: float, factor: float, value: Floats, variance: Floats, noise: Floats,
 ) -> None:  # fmt: skip
     """Do the work of `blended` for rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
     `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
-    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise. `borders`
-    (rows, columns) is what `border_factors` returns.
+    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise.
     """
     cells = int(np.ceil(reach / side))
     scale = (1.0 / footprint**2, 0.5 / reach**2)
@@ -170,6 +169,5 @@ def blend_rows(
                         own = factor * sums[7 + a] / total
                         scatter = max(sums[5 + a] / total - mean * mean, 0.0)
                         value[a, r, c] = mean
-                        noise[a, r, c] = part * borders[r, c] * own
-                        bent = max(scatter - _CHANCE * own, 0.0)
-                        variance[a, r, c] = borders[r, c] * own + one_sided * bent
+                        noise[a, r, c] = part * own
+                        variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)

@@ -15,7 +15,6 @@ from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
 from sms_jobs.metrology.deformation.fields.blending import blend_rows
-from sms_jobs.metrology.deformation.fields.border_noise import border_factors
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
@@ -186,7 +185,6 @@ def blend_matches(
 
     Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
     the gradients it comes to 1.39 times the mean variance, to 0.81 times that of subsets of second order.
-    Beside borders it is up to 2.4 times as much, or 0.75 times: see `border_factors`.
 
     Where all matches lie to one side, nothing cancels: by how much they differ about the pixel, beyond what
     noise makes them differ, is added to the variance, in full where they fill half a disc, less where their
@@ -199,12 +197,10 @@ def blend_matches(
 def blended(
     points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
 ) -> Blended:
-    """Return what `blend_matches` does, and what of the variances is noise."""
+    """Return what `blend_matches` does, and what of the variances is noise, which no border adds to."""
     rows, columns = labels.shape
-    numbers = points.warp.shape[1]
-    reach = blending_reach(subset_radius, numbers)
-    factor = blending_factor(numbers)
-    borders = border_factors(labels, subset_radius, numbers // 2, _BLEND[numbers][0])
+    factor = blending_factor(points.warp.shape[1])
+    reach = blending_reach(subset_radius, points.warp.shape[1])
     side = max(1, int(reach / 4))
     shape = (-(-rows // side), -(-columns // side))
     cell = (points.y // side) * (shape[1] + 1) + points.x // side
@@ -227,9 +223,8 @@ def blended(
 
     def work(start: int, stop: int) -> None:
         blend_rows(
-            start, stop, xyz, labels, footprint, side, first, matches, reach, factor, borders,
-            value, variance, noise,
-        )  # fmt: skip
+            start, stop, xyz, labels, footprint, side, first, matches, reach, factor, value, variance, noise
+        )
 
     in_row_blocks(work, rows, threads)
     return Blended(value, variance, noise)
