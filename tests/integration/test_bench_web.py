@@ -23,8 +23,6 @@ def test_a_small_server_is_measured_and_gives_no_figure(
     if not browser:
         monkeypatch.setenv("SMS_TEST_BROWSER", "none")
     few = {"_QUICK_JOBS": 400, "_QUICK_SECONDS": 2.0, "_PAUSE_S": 1.0, "_EVENTS": 3}
-    if not browser:  # the crowd knows of none
-        few |= {"_CLIENTS": 5, "_QUICK_SECONDS": 0.5, "_PAUSE_S": 0.2}
     for name, value in few.items():
         monkeypatch.setattr(web, name, value)
     told: list[str] = []
@@ -38,10 +36,7 @@ def test_a_small_server_is_measured_and_gives_no_figure(
     }
     assert all(f.value is None for f in figures.values())
     conditions = {c.topic: c.text for c in found if isinstance(c, Condition)}
-    clients = 50 if browser else 5
-    assert conditions["p95"].startswith(
-        f"20000 files and 400 jobs that have not ended, on SQLite; {clients} clients"
-    )
+    assert conditions["p95"].startswith("20000 files and 400 jobs that have not ended, on SQLite; 50 clients")
     assert " answers to 23 addresses in equal parts, 12 of them pages" in conditions["p95"]
     assert ("the page of jobs in Chromium" in conditions["event_delay"]) is browser
     assert ("there is no Chromium" in conditions["event_delay"]) is not browser
