@@ -112,6 +112,7 @@ def _stamp(
     grey: Floats, x: Floats, y: Floats, height: Floats, shown_x: Floats, shown_y: Floats,
     near_x: Floats, near_y: Floats,
 ) -> None:  # fmt: skip
+    """Add blobs at (x, y) to the pixels beside (near_x, near_y), by what these show."""
     rows, columns = grey.shape
     for k in range(height.size):
         column, row = int(np.rint(near_x[k])), int(np.rint(near_y[k]))

@@ -79,7 +79,7 @@ def new_fit(returns: int, padded: int) -> Fit:
 
 
 @inlined
-def _write_rotors(omega: float, first: int, rotors: Singles) -> None:
+def write_rotors(omega: float, first: int, rotors: Singles) -> None:
     """Write cos and sin of omega t, t = first, first + 1, ..: what is there, turned, is next."""
     c, s = cos(omega), sin(omega)
     rotors[0, 0] = 1.0 if first == 0 else c
@@ -152,7 +152,7 @@ def _subtract(z: Singles, transfer: Singles, estimates: Floats, fit: Fit) -> Non
 def subtract(z: Singles, transfer: Singles, first: int, estimates: Floats, fit: Fit) -> None:
     """Write rotors of returns, and what these leave of a signal, to the buffers of a fit."""
     for i in range(estimates.shape[0]):
-        _write_rotors(estimates[i, OMEGA], first, fit.rotors[i])
+        write_rotors(estimates[i, OMEGA], first, fit.rotors[i])
     _subtract(z, transfer, estimates, fit)
 
 
@@ -201,7 +201,7 @@ def _evaluate(z: Singles, weights: Weights, sums: Sums, first: int, estimates: F
     """
     n, normal, rotors, step = estimates.shape[0], fit.normal, fit.rotors, fit.step
     for i in range(n):
-        _write_rotors(estimates[i, OMEGA], first, rotors[i])
+        write_rotors(estimates[i, OMEGA], first, rotors[i])
         step[i] = _in_phase(z, weights.u[0], rotors[i])
         normal[i, i], normal[n + i, n + i], normal[n + i, i] = sums.v, sums.vtt, 0.0
         for k in range(i):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Singles
 from sms_jobs.metrology.compilation import uncounted_summing_kernel
-from sms_jobs.metrology.phase.ranging.reference_fit import factorize, substitute
+from sms_jobs.metrology.phase.ranging.reference_fit import factorize, substitute, write_rotors
 
 DECIDED = 2.0 * log(1e4)  # in chi-square: odds of 10^4, as of fringe orders
 
@@ -127,32 +127,18 @@ def new_room(size: int) -> Room:
 
 
 @uncounted_summing_kernel
-def _write_turns(omega: float, first: float, turns: Singles) -> None:
-    """Write cos and sin of omega t, from t = 0 or 1 on: what is there, turned, is next."""
-    c, s, done, size = np.cos(omega), np.sin(omega), 1, turns.shape[1]
-    turns[0, 0] = 1.0 if first == 0.0 else c
-    turns[1, 0] = 0.0 if first == 0.0 else s
-    while done < size:
-        p, q = np.float32(c), np.float32(s)
-        for t in range(min(done, size - done)):
-            turns[0, done + t] = p * turns[0, t] - q * turns[1, t]
-            turns[1, done + t] = q * turns[0, t] + p * turns[1, t]
-        c, s = c * c - s * s, 2.0 * c * s
-        done *= 2
-
-
-@uncounted_summing_kernel
 def _write_columns(omega: float, model: Model, by_omega: Singles, light: Singles, turns: Singles) -> None:
     """Write what a return of amplitude 1 shows, with its ghosts, and the derivative of that by omega."""
     densities, transfer = model.densities, model.transfer
-    _write_turns(omega, densities[0], turns)
+    first = int(densities[0])
+    write_rotors(omega, first, turns)
     for t in range(densities.size):
         re, im = transfer[t] * turns[0, t], transfer[t] * turns[1, t]
         light[0, t], light[1, t] = re, im
         by_omega[0, t], by_omega[1, t] = -densities[t] * im, densities[t] * re
     for m in range(model.orders.size):
         order, ahead, back = np.float32(model.orders[m]), model.forward[m], model.backward[m]
-        _write_turns(model.orders[m] * omega, densities[0], turns)
+        write_rotors(model.orders[m] * omega, first, turns)
         for t in range(densities.size):
             plus, minus, change = ahead[t] + back[t], ahead[t] - back[t], order * densities[t]
             light[0, t] += plus * turns[0, t]
