@@ -190,16 +190,17 @@ def _way_back(
     slope = np.stack([1.0 + warp[:, 1], warp[:, 2], warp[:, 4], 1.0 + warp[:, 5]], axis=1).reshape(-1, 2, 2)
     back = np.linalg.inv(slope)
     off = (pixel - place)[..., None]
-    home = start + (back @ off)[..., 0] - pixel
+    smaller = replace(settings, radius=max(5, round(_RETURN_RADIUS * settings.radius)), shape_order=1)
+    bent = _taken_for_a_shift(warp, back, smaller.radius)
+    # Where a match that is right will end, so that four in five need one step.
+    home = start + bent + (back @ off)[..., 0] - pixel
     guess = np.stack(
         [home[:, 0], back[:, 0, 0] - 1.0, back[:, 0, 1], home[:, 1], back[:, 1, 0], back[:, 1, 1] - 1.0],
         axis=1,
     )
-    smaller = replace(settings, radius=max(5, round(_RETURN_RADIUS * settings.radius)), shape_order=1)
     x, y = (np.ascontiguousarray(values) for values in pixel.T)
     again: Matches = match_points(images.way_back(), x, y, guess, smaller, threads)
     there = carried(again.warp, *(place - pixel).T)
-    bent = _taken_for_a_shift(warp, back, smaller.radius)
     distance = np.hypot(*(place + there[:, [0, 3]] - bent - start).T)
     distance[np.isin(again.ending, (LEFT_IMAGE, NOT_CONVERGED))] = np.inf
     missed[matched] = np.where(np.isin(again.ending, (NO_TEXTURE, TOO_FEW_PIXELS)), np.nan, distance)
