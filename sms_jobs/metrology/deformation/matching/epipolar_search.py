@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncounted_summing_kernel
 from sms_jobs.metrology.deformation.matching.seeding import block_means
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_warps, points_along_rays
@@ -25,6 +25,7 @@ Width: TypeAlias = Callable[[Floats], Floats]
 """How far off the images of their rays points (n, 3) in mm may be seen, (n,) in px."""
 
 _BIN = 2  # px of the images in one of those that are searched
+_NEXT = np.uint64(1)
 _MOST_PLACES = 4096  # along a ray
 _MOST_BESIDE = 100.0  # px: who knows so little calibrates again
 _AT_ONCE = 64  # squares, for the memory's sake
@@ -74,11 +75,62 @@ class FoundSeeds:
         return np.asarray(self.score > self.runner_up + _UNIQUE)
 
 
-@kernel
-def _score(
+@inlined
+def _grey_level(image: Floats, x: float, y: float) -> float:
+    """Return the grey level at a place between four pixels of an image, by linear interpolation."""
+    column, row = np.int64(x), np.int64(y)
+    s, t = x - column, y - row
+    # Unsigned indices need no look at their sign: several places are then done at a time.
+    c, r = np.uint64(column), np.uint64(row)
+    upper = image[r, c] + s * (image[r, c + _NEXT] - image[r, c])
+    lower = image[r + _NEXT, c] + s * (image[r + _NEXT, c + _NEXT] - image[r + _NEXT, c])
+    return float(upper + t * (lower - upper))
+
+
+@uncounted_summing_kernel
+def _sums_of_whole(
     template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
-) -> float:
-    """Return the correlation of the square about (x, y) with its image about a place; -1 where it is cut."""
+) -> tuple[float, float, float, float, float]:
+    """Return the sums of f, g, f^2, g^2 and f g over a square, all of which both images show."""
+    sf, sg, sff, sgg, sfg = 0.0, 0.0, 0.0, 0.0, 0.0
+    left, top = int(np.rint(x)) - half, int(np.rint(y)) - half
+    for j in range(2 * half + 1):
+        dy = top + j - y
+        for i in range(2 * half + 1):
+            dx = left + i - x
+            px = place[0] + slope[0, 0] * dx + slope[0, 1] * dy
+            py = place[1] + slope[1, 0] * dx + slope[1, 1] * dy
+            g = _grey_level(image, px, py)
+            f = template[np.uint64(top + j), np.uint64(left + i)]
+            sf += f
+            sg += g
+            sff += f * f
+            sgg += g * g
+            sfg += f * g
+    return sf, sg, sff, sgg, sfg
+
+
+@inlined
+def _sees_all(
+    template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
+) -> bool:
+    """Return whether both images hold a square about (x, y) and its image about a place, with its corners."""
+    rows, columns = image.shape
+    cx, cy = int(np.rint(x)), int(np.rint(y))
+    wide, high = half + abs(cx - x), half + abs(cy - y)
+    right = wide * abs(slope[0, 0]) + high * abs(slope[0, 1])
+    down = wide * abs(slope[1, 0]) + high * abs(slope[1, 1])
+    own = cx >= half and cy >= half and cx + half < template.shape[1] and cy + half < template.shape[0]
+    # Written so that NaN is outside.
+    along = place[0] >= right and place[0] + right < columns - 1
+    return own and along and place[1] >= down and place[1] + down < rows - 1
+
+
+@kernel
+def _sums_of_part(
+    template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
+) -> tuple[int, int, float, float, float, float, float]:
+    """Return how many of a square's pixels the first image shows, and both, and the sums over the latter."""
     rows, columns = image.shape
     n = 0
     sf, sg, sff, sgg, sfg = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -96,11 +148,7 @@ def _score(
             py = place[1] + slope[1, 0] * dx + slope[1, 1] * dy
             if not (px >= 0.0 and py >= 0.0 and px < columns - 1 and py < rows - 1):
                 continue
-            c, r = int(px), int(py)
-            s, t = px - c, py - r
-            g = (1.0 - t) * ((1.0 - s) * image[r, c] + s * image[r, c + 1]) + t * (
-                (1.0 - s) * image[r + 1, c] + s * image[r + 1, c + 1]
-            )
+            g = _grey_level(image, px, py)
             f = template[cy + j, cx + i]
             n += 1
             sf += f
@@ -108,6 +156,19 @@ def _score(
             sff += f * f
             sgg += g * g
             sfg += f * g
+    return whole, n, sf, sg, sff, sgg, sfg
+
+
+@kernel
+def _score(
+    template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
+) -> float:
+    """Return the correlation of the square about (x, y) with its image about a place; -1 where it is cut."""
+    if _sees_all(template, image, x, y, place, slope, half):
+        whole = n = (2 * half + 1) ** 2
+        sf, sg, sff, sgg, sfg = _sums_of_whole(template, image, x, y, place, slope, half)
+    else:
+        whole, n, sf, sg, sff, sgg, sfg = _sums_of_part(template, image, x, y, place, slope, half)
     if whole == 0 or n < _LEAST_OVERLAP * whole:
         return -1.0
     ff, gg = sff - sf * sf / n, sgg - sg * sg / n
