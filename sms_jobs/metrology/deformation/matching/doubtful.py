@@ -16,22 +16,24 @@ from sms_jobs.metrology.deformation.matching.correlation import (
     Matches,
 )
 from sms_jobs.metrology.deformation.matching.sampling import NEAREST, Nodes
-from sms_jobs.metrology.deformation.matching.shape_functions import carried
+from sms_jobs.metrology.deformation.matching.shape_functions import carried, shifted
 
 _LEAST_SCATTER = 0.01  # px, of neighbours: what first-order subsets may disagree by on a curved field
 _WITNESSES = 3  # neighbours that must have been matched to judge a point
 _BLOCK = 1 << 15  # points whose neighbours are looked at together, for the memory's sake
 
 
-def _expected(found: Matches, nodes: Nodes, points: Ints) -> tuple[Floats, Mask]:
-    """Return what the warps (n, 8, numbers) of the nearest neighbours say at points, NaN for the unmatched.
+def _expected(
+    found: Matches, nodes: Nodes, points: Ints, told: Callable[[Floats, Ints, Ints], Floats]
+) -> tuple[Floats, Mask]:
+    """Return what is `told` at points by the warps of their nearest neighbours, (n, 8, numbers).
 
-    And which of the points have enough neighbours that say something.
+    It is NaN for the unmatched. And which of the points have enough neighbours that say something.
     """
     near = nodes.around[points, :NEAREST]
     usable = (near >= 0) & (found.ending[near] == CONVERGED)
     dx, dy = nodes.x[points, None] - nodes.x[near], nodes.y[points, None] - nodes.y[near]
-    there = carried(found.warp[near], dx, dy)
+    there = told(found.warp[near], dx, dy)
     return np.where(usable[..., None], there, np.nan), usable.sum(axis=1) >= _WITNESSES
 
 
@@ -44,15 +46,15 @@ def outliers(found: Matches, nodes: Nodes, points: Ints, ratio: float) -> Ints:
     outside = np.zeros(len(points), dtype=bool)
     for start in range(0, len(points), _BLOCK):
         own = points[start : start + _BLOCK]
-        there, judged = _expected(found, nodes, own)
+        there, judged = _expected(found, nodes, own, shifted)
         judged &= found.ending[own] == CONVERGED
         block = outside[start : start + _BLOCK]
-        for first, sigma in ((0, 0), (3, 1)):
-            expected = there[judged][..., first]
+        for axis, value in enumerate((0, 3)):
+            expected = there[judged, :, axis]
             middle = np.nanmedian(expected, axis=1)
             scatter = np.nanmedian(np.abs(expected - middle[:, None]), axis=1)
-            least = np.maximum(_LEAST_SCATTER, found.sigma[own[judged], sigma])
-            deviation = np.abs(found.warp[own[judged], first] - middle)
+            least = np.maximum(_LEAST_SCATTER, found.sigma[own[judged], axis])
+            deviation = np.abs(found.warp[own[judged], value] - middle)
             block[judged] |= deviation > ratio * np.maximum(scatter, least)
     return points[outside]
 
@@ -85,7 +87,7 @@ def check_again(
     guesses = []
     for start in range(0, len(doubtful), _BLOCK):
         own = doubtful[start : start + _BLOCK]
-        there, judged = _expected(found, nodes, own)
+        there, judged = _expected(found, nodes, own, carried)
         guesses.append((own[judged], np.nanmedian(there[judged], axis=1)))
     if not guesses:
         return

@@ -103,6 +103,7 @@ def choose_seeds(labels: Labels, x: Ints, y: Ints, search: SearchSettings) -> In
     row, column = y // search.spacing, x // search.spacing
     off_middle = np.hypot(*((v % search.spacing) - 0.5 * search.spacing for v in (x, y)))
     order = np.lexsort((off_middle, -np.minimum(depth, search.template_radius)))
-    keys = np.stack([labels[y, x], row, column], axis=1)[order]
-    _, first = np.unique(keys, axis=0, return_index=True)
+    which = (labels[y, x], row, column)
+    squares = np.ravel_multi_index(which, tuple(int(numbers.max(initial=0)) + 1 for numbers in which))
+    _, first = np.unique(squares[order], return_index=True)
     return np.asarray(np.sort(order[first]))

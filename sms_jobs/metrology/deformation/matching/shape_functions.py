@@ -158,17 +158,29 @@ def compose_inverse(warp: Floats, step: Floats) -> None:
         warp[6 + i] = curvature[i]
 
 
+def shifted(warp: Floats, dx: Floats | Ints, dy: Floats | Ints) -> Floats:
+    """Return the displacements (..., 2) that warps (..., 6 or 12) tell of points (dx, dy) away, in px."""
+    shift = np.empty((*np.broadcast_shapes(warp.shape[:-1], np.shape(dx)), 2))
+    for axis in range(2):
+        value, slope, bend = 3 * axis, 3 * axis + 1, 6 + 3 * axis
+        moved = warp[..., value] + (warp[..., slope] * dx + warp[..., slope + 1] * dy)
+        if warp.shape[-1] == WARP:
+            xx, xy, yy = (warp[..., bend + i] for i in range(3))
+            moved = moved + (0.5 * xx * dx**2 + xy * dx * dy + 0.5 * yy * dy**2)
+        shift[..., axis] = moved
+    return shift
+
+
 def carried(warp: Floats, dx: Floats | Ints, dy: Floats | Ints) -> Floats:
     """Return warps (..., 6 or 12) as seen from points (dx, dy) away, in px.
 
     Six numbers are a warp without curvature, and stay six.
     """
     moved = warp.copy()
-    for value, slope, bend in ((0, 1, 6), (3, 4, 9)):
-        moved[..., value] += warp[..., slope] * dx + warp[..., slope + 1] * dy
-        if warp.shape[-1] == WARP:
+    moved[..., [0, 3]] = shifted(warp, dx, dy)
+    if warp.shape[-1] == WARP:
+        for slope, bend in ((1, 6), (4, 9)):
             xx, xy, yy = (warp[..., bend + i] for i in range(3))
-            moved[..., value] += 0.5 * xx * dx**2 + xy * dx * dy + 0.5 * yy * dy**2
             moved[..., slope] += xx * dx + xy * dy
             moved[..., slope + 1] += xy * dx + yy * dy
     return moved
