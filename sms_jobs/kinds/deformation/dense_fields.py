@@ -17,7 +17,7 @@ from sms_jobs.kinds.surface_ports import independent_covariance, position_covari
 from sms_jobs.metrology.deformation.fields import displacement
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise
 from sms_jobs.metrology.deformation.fields.displacement import StateShape, blended, displacement_field
-from sms_jobs.metrology.deformation.fields.noise_correlation import noise_correlation
+from sms_jobs.metrology.deformation.fields.noise_correlation import noise_correlation_at
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
@@ -85,21 +85,25 @@ def spread(
         parameters.smoothing_px,
         threads,
     )
-    correlation = np.full(labels.shape, _noise_in_common(surface, parameters))
+    correlation = _noise_in_common(surface, labels, parameters)
     return ImageDisplacement(found.value, found.variance, verified, found.noise, correlation)
 
 
-def _noise_in_common(surface: Surface, parameters: CorrelateParameters) -> float:
+def _noise_in_common(
+    surface: Surface, labels: NDArray[np.int32], parameters: CorrelateParameters
+) -> NDArray[np.float64]:
     """Return the correlation of what one image's noise does to the match in time and to the surface.
 
     0 where it does nothing to the surface, and where the match is not one of two images by subsets.
     """
     direct = parameters.method == "gauss-newton" and parameters.reference == "first"
     if surface.own_noise is None or surface.shape_order is None or not direct:
-        return 0.0
-    return noise_correlation(
+        return np.zeros(labels.shape)
+    return noise_correlation_at(
+        labels,
         Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order)),
         Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order)),
+        parameters.edge_margin_px,
     )
 
 

@@ -10,11 +10,13 @@ import pytest
 
 from sms_jobs.metrology.deformation.fields import displacement
 from sms_jobs.metrology.deformation.fields.averaging import average_in_region
+from sms_jobs.metrology.deformation.fields.border_noise import border_factors
 from sms_jobs.metrology.deformation.fields.displacement import (
     ImagePoints,
     StateShape,
     blend_matches,
     blended,
+    blending_reach,
     displacement_field,
     pixel_pitch,
 )
@@ -164,7 +166,10 @@ def test_quadratic_matches_are_blended_to_the_fourth_derivative() -> None:
 
     error, variance, _ = blended(lambda at: 0.3 - 0.02 * at + 1e-4 * at**2)
     np.testing.assert_allclose(error, 0.0, atol=1e-12)
-    np.testing.assert_allclose(variance, 0.81 * 0.01**2)
+    borders = border_factors(labels, radius, blending_reach(1, 12))
+    np.testing.assert_allclose(variance, [0.81 * 0.01**2 * borders] * 2)
+    # Of subsets that are cut beside the border nothing is left three radii further in.
+    np.testing.assert_allclose(borders[70:-70, 70:-70], 1.0, rtol=1e-3)
     error, _, single = blended(lambda at: 1e-8 * at**4)
     # Of x^4 a subset of radius r leaves 3/35 r^4 at its centre.
     assert abs(single.mean()) == pytest.approx(1e-8 * radius**4 * 3.0 / 35.0, rel=0.2)

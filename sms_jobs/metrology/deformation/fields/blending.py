@@ -12,9 +12,8 @@ _HALF_DISC = 0.29
 _LANES = 8  # matches that one instruction may take
 _BEYOND = 1.0 + 1e-9
 """Squared distance, in those of the reach, from which on a match weighs nothing however it is rounded."""
-_CARRIED, _CHANCE = 0.25, 5.0
-"""By trial at borders: the part of such matches' scatter that noise alone makes an error, and that scatter in
-variances of the blend."""
+_CHANCE = 5.0
+"""By trial at borders: the scatter of such matches by noise, in variances of the blend far from borders."""
 
 
 @summing_kernel
@@ -127,13 +126,16 @@ def _gather(
 @kernel
 def blend_rows(
     start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
-    matches: Floats, reach: float, factor: float, value: Floats, variance: Floats, noise: Floats,
+    matches: Floats, reach: float, factor: float, borders: Floats, carried: float,
+    value: Floats, variance: Floats, noise: Floats,
 ) -> None:  # fmt: skip
     """Do the work of `blended` for rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
     `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
-    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise.
+    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise. `borders`
+    (rows, columns) is a factor on the noise, `carried` the part of one-sided scatter that adds to the
+    variance however small it is.
     """
     cells = int(np.ceil(reach / side))
     scale = (1.0 / footprint**2, 0.5 / reach**2)
@@ -169,5 +171,6 @@ def blend_rows(
                         own = factor * sums[7 + a] / total
                         scatter = max(sums[5 + a] / total - mean * mean, 0.0)
                         value[a, r, c] = mean
-                        noise[a, r, c] = part * own
-                        variance[a, r, c] = own + one_sided * max(_CARRIED * scatter, scatter - _CHANCE * own)
+                        noise[a, r, c] = part * borders[r, c] * own
+                        bent = max(carried * scatter, scatter - _CHANCE * own)
+                        variance[a, r, c] = borders[r, c] * own + one_sided * bent

@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 from scipy import fft
 
-from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.arrays import Floats, Labels
+from sms_jobs.metrology.deformation.fields.border_noise import RADIUS, by_borders, seen_beside_a_border
 from sms_jobs.metrology.deformation.fields.displacement import blending_factor, blending_reach
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
@@ -59,3 +60,44 @@ def noise_correlation(first: Subsets, second: Subsets) -> float:
     off = (len(large) - len(small)) // 2
     inner = large[off : off + len(small), off : off + len(small)]
     return float(np.sum(small * inner) / np.sqrt(of_first * of_second))
+
+
+def noise_correlation_at(labels: Labels, first: Subsets, second: Subsets, margin: int) -> Floats:
+    """Return that correlation at pixels (rows, columns): beside borders matches have less in common.
+
+    It is what they share over the noise that `blended` states, which of first order is that far from borders.
+    `labels` (rows, columns) are the regions that the first are cut to; the second's go `margin` px further.
+    """
+    far = noise_correlation(first, second)
+    if not first.order or not second.order:
+        return np.full(labels.shape, far)
+    largest = max(first.radius, second.radius)
+    small = [
+        max(round((one.radius + 0.5) * (RADIUS + 0.5) / (largest + 0.5) - 0.5), 2) for one in (first, second)
+    ]
+    orders = first.order, second.order
+    inwards = round(margin * (RADIUS + 0.5) / (largest + 0.5))
+    return far * by_borders(
+        labels, largest, lambda rim: _less_beside(orders, (small[0], small[1]), rim, 0 if rim else inwards)
+    )
+
+
+@cache
+def _less_beside(orders: tuple[int, int], radii: tuple[int, int], rim: int, margin: int) -> Floats:
+    """Return the correlation beside a straight border over that far from it, at its `depths`."""
+    first, second = (
+        seen_beside_a_border(
+            _TERMS[order], blending_reach(1, WARP if order == 2 else 6), rim, radius, inwards
+        )
+        for order, radius, inwards in zip(orders, radii, (margin, 0), strict=True)
+    )
+    shared = [
+        float(np.sum(one[0] * other[0]) / np.sqrt(_stated(orders[0], *one) * _stated(orders[1], *other)))
+        for one, other in zip(first, second, strict=True)
+    ]
+    return np.asarray(np.array(shared) / shared[-1])
+
+
+def _stated(order: int, weights: Floats, variance: float) -> float:
+    """Return what is stated of a blend's noise, but for a constant: of first order no border changes it."""
+    return variance if order == 1 else float(np.sum(weights**2))
