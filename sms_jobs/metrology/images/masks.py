@@ -76,6 +76,26 @@ def of_one_label(labels: NDArray[np.int32], side: int) -> Mask:
     return np.asarray(cv2.erode(values, square) == cv2.dilate(values, square))
 
 
+def beside_another_label(labels: NDArray[np.int32]) -> Mask:
+    """Return which labelled pixels (rows, columns) have another label, not 0, within two px."""
+    import cv2
+
+    if not labels.size:  # OpenCV takes no empty image
+        return np.zeros(labels.shape, dtype=bool)
+    square, values = np.ones((5, 5), np.uint8), labels.astype(np.float32)
+    low = cv2.erode(np.where(labels > 0, values, np.float32(np.inf)), square)
+    return np.asarray((labels > 0) & (cv2.dilate(values, square) > low))
+
+
+def wide_gaps(labels: NDArray[np.int32], width: int) -> Mask:
+    """Return which pixels without a label (rows, columns) lie in gaps of at least about a width in px."""
+    import cv2
+
+    # An opening by an even number of pixels would shift what it leaves.
+    square = np.ones((width | 1, width | 1), np.uint8)
+    return np.asarray(cv2.morphologyEx((labels == 0).astype(np.uint8), cv2.MORPH_OPEN, square) > 0)
+
+
 def widened(mask: Mask, side: int) -> Mask:
     """Return which pixels have one of the mask's in the square of an odd side in px about them."""
     import cv2

@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from sms_jobs.metrology.images.masks import (
     at_edge,
+    beside_another_label,
     box_of,
     distance_inside,
     grown,
@@ -18,6 +19,7 @@ from sms_jobs.metrology.images.masks import (
     of_one_label,
     outside_box,
     phase_error_factor,
+    wide_gaps,
     widened,
 )
 
@@ -109,6 +111,31 @@ def test_a_label_ends_where_another_one_is_near() -> None:
     expected = ndimage.minimum_filter(labels, 5) == ndimage.maximum_filter(labels, 5)
     np.testing.assert_array_equal(of_one_label(labels, 5), expected)
     assert expected[0, 0]  # the border of the image is no end
+
+
+def test_the_rim_of_a_label_is_two_pixels_wide_and_ends_at_what_has_none() -> None:
+    labels = np.ones((20, 30), np.int32)
+    labels[:, 12:] = 70_000
+    labels[:, 20:24] = 0
+    expected = np.zeros(labels.shape, bool)
+    expected[:, 10:14] = True
+    np.testing.assert_array_equal(beside_another_label(labels), expected)
+    labels[:, 24:] = 2  # four pixels beyond: those of a gap between do not count
+    np.testing.assert_array_equal(beside_another_label(labels), expected)
+    assert not beside_another_label(np.zeros((0, 5), np.int32)).size
+
+
+@pytest.mark.parametrize("width", [7, 8])
+def test_gaps_are_told_where_they_are_and_narrow_ones_are_none(width: int) -> None:
+    labels = np.ones((40, 60), np.int32)
+    labels[10:19, 20:31] = 0
+    labels[:, 40:46] = 0  # narrower than either
+    labels[:9, :9] = 0  # the border of the image is no end
+    labels[25, 12] = 0
+    expected = labels == 0
+    expected[:, 40:46] = expected[25, 12] = False
+    np.testing.assert_array_equal(wide_gaps(labels, width), expected)
+    np.testing.assert_array_equal(wide_gaps(labels[::-1, ::-1].copy(), width), expected[::-1, ::-1])
 
 
 def test_distances_inside_are_exact(rng: np.random.Generator) -> None:

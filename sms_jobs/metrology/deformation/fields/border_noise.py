@@ -15,14 +15,12 @@ from scipy import fft
 
 from sms_jobs.metrology.arrays import Floats, Labels, Singles
 from sms_jobs.metrology.deformation.matching.subsets import RIM
-from sms_jobs.metrology.images.masks import distance_inside
+from sms_jobs.metrology.images.masks import beside_another_label, distance_inside, wide_gaps
 
 RADIUS = 12
 """Of the subsets that are summed, in px: in proportion to their size all are alike."""
 _DEEP = 3
 """Radii of a subset from a border, beyond which it changes nothing."""
-_BETWEEN = 5
-"""Px within which two regions have a border, as at a crack."""
 
 
 def border_factors(labels: Labels, radius: int, reach: float, terms: int = 6) -> Floats:
@@ -126,20 +124,10 @@ def _beside_a_border(terms: int, reach: float, rim: int) -> Floats:
 
 def _from_edges(labels: Labels, smallest: int) -> Singles:
     """Return the distance from the edges of regions, (rows, columns) in px; the image's border is none."""
-    import cv2
-
-    # An opening by an even number of pixels would shift what it leaves.
-    square, near = (np.ones((side, side), np.uint8) for side in (smallest | 1, _BETWEEN))
-    reach = _DEEP * (smallest + 1)
-    padded = np.pad(labels, reach, mode="edge")
-    gap = cv2.morphologyEx((padded == 0).astype(np.uint8), cv2.MORPH_OPEN, square) > 0
-    away = np.full(padded.shape, np.float32(2 * reach))
+    away = np.full(labels.shape, np.float32(np.inf))
+    gap, touching = wide_gaps(labels, smallest), beside_another_label(labels)
     if gap.any():
-        away = np.maximum(distance_inside(~gap) - 1.0, 0.0)
-    if labels.max(initial=0) > 1:
-        values = padded.astype(np.float32)
-        low = cv2.erode(np.where(padded > 0, values, np.float32(np.inf)), near)
-        touching = (padded > 0) & (cv2.dilate(values, near) > low)
-        if touching.any():
-            away = np.minimum(away, distance_inside(~touching))
-    return away[reach:-reach, reach:-reach]
+        away = np.maximum(distance_inside(~gap) - np.float32(1.0), np.float32(0.0))
+    if touching.any():
+        away = np.minimum(away, distance_inside(~touching))
+    return away

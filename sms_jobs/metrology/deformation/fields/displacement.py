@@ -19,7 +19,7 @@ from sms_jobs.metrology.deformation.fields.border_noise import border_factors
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
-from sms_jobs.metrology.images.masks import box_of
+from sms_jobs.metrology.images.masks import beside_another_label, box_of
 
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
@@ -241,17 +241,6 @@ def blended(
     return Blended(value, variance, noise)
 
 
-def _between_regions(labels: NDArray[np.int32]) -> Mask:
-    """Return which pixels are within two of another region: they may see either, whichever has got them."""
-    import cv2
-
-    if not labels.size:  # nothing was measured, and OpenCV takes no empty image
-        return np.zeros(labels.shape, dtype=bool)
-    square, values = np.ones((5, 5), np.uint8), labels.astype(np.float32)
-    low = cv2.erode(np.where(values > 0.0, values, np.float32(np.inf)), square)
-    return np.asarray((labels > 0) & ((low != values) | (cv2.dilate(values, square) != values)))
-
-
 def displacement_field(
     image: Floats,
     variance: Floats,
@@ -319,7 +308,8 @@ def displacement_field(
     # Its own end point lies on another surface, or where two mix.
     stray = apart > OUTLIER**2 * (total[0] + total[3] + total[5])
     status[(status == 0) & (stray | np.isnan(moved[0]))] = NO_SHAPE_AT_END
-    status[(status == 0) & _between_regions(labels)] = OUTSIDE_REGION
+    # Within two px of another region they may see either, whichever has got them.
+    status[(status == 0) & beside_another_label(labels)] = OUTSIDE_REGION
     biased = np.zeros_like(spread)
     for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
         for axis in range(2):

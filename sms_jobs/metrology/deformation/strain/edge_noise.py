@@ -17,12 +17,11 @@ from sms_jobs.metrology.deformation.fields.cells import Cells
 from sms_jobs.metrology.deformation.matching.subsets import RIM
 from sms_jobs.metrology.deformation.strain.edge_propagation import EdgeFactors, edge_factors
 from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
-from sms_jobs.metrology.images.masks import distance_inside
+from sms_jobs.metrology.images.masks import beside_another_label, distance_inside, wide_gaps
 
 # Of how many px no average uses anything: at the border of the image, and at a region's edge.
 _RIMS_OF_SHAPE = (0.0, 1.0)
 _PER_PX = 4.0  # distances that are told to a pixel
-_BETWEEN = 5  # px: regions that are nearer have an edge, as at a crack
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,7 @@ def _from_border(rows: int, columns: int) -> Floats:
 
 def _from_regions(labels: Labels, smallest: int) -> Floats:
     """Return the distance from the edges of regions, (rows, columns) in px; infinite where there is none."""
-    import cv2
-
-    square, near = np.ones((smallest, smallest), np.uint8), np.ones((_BETWEEN, _BETWEEN), np.uint8)
-    outside = cv2.morphologyEx((labels == 0).astype(np.uint8), cv2.MORPH_OPEN, square) > 0
-    values = labels.astype(np.float32)
-    low = cv2.erode(np.where(labels > 0, values, np.float32(np.inf)), near)
-    outside |= (labels > 0) & (cv2.dilate(values, near) > low)
+    outside = wide_gaps(labels, smallest) | beside_another_label(labels)
     if not outside.any():
         return np.full(labels.shape, np.inf)
     return np.maximum(distance_inside(~outside).astype(np.float64) - 1.0, 0.0)
