@@ -23,8 +23,8 @@ _DEEP = 3
 """Radii of a subset from a border, beyond which it changes nothing."""
 
 
-def border_factors(labels: Labels, radius: int, reach: float, terms: int = 6) -> Floats:
-    """Return what borders make of the variance by noise of blended matches, (rows, columns), as a factor.
+def border_factors(labels: Labels, radius: int, reach: float) -> Floats:
+    """Return the factor (rows, columns) on the variance by noise of blended matches of second order.
 
     That beside the border of the image, where subsets end `RIM` px before it, times that beside an edge.
 
@@ -36,10 +36,8 @@ def border_factors(labels: Labels, radius: int, reach: float, terms: int = 6) ->
         Of the subsets, in px.
     reach
         Distance over which matches are blended, in radii.
-    terms
-        Numbers that subsets tell of either component: 3 of first order, 6 of second.
     """
-    return by_borders(labels, radius, lambda rim: _beside_a_border(terms, reach, rim))
+    return by_borders(labels, radius, lambda rim: _beside_a_border(reach, rim))
 
 
 def by_borders(labels: Labels, radius: int, told: Callable[[int], Floats]) -> Floats:
@@ -87,8 +85,9 @@ def seen_beside_a_border(
 ) -> Iterator[tuple[Floats, float]]:
     """Yield what pixels (rows, columns) weigh in blended matches at `depths`, and the matches' mean variance.
 
-    Of subsets of a radius up to `RADIUS` about every pixel, also `rim` px beyond where they are cut, and
-    weights of `blend_matches`. Subsets are cut `margin` px further in than distances are counted from.
+    `terms` are the numbers that subsets tell of either component: 3 of first order, 6 of second. Of subsets
+    of a radius up to `RADIUS` about every pixel, also `rim` px beyond where they are cut, and weights of
+    `blend_matches`. Subsets are cut `margin` px further in than distances are counted from.
     """
     far = reach * radius
     wide = int(np.ceil(far))
@@ -112,12 +111,12 @@ def seen_beside_a_border(
 
 
 @cache
-def _beside_a_border(terms: int, reach: float, rim: int) -> Floats:
+def _beside_a_border(reach: float, rim: int) -> Floats:
     """Return the variance of blended matches over that which is the same far from a straight border.
 
     Both over the mean of the matches' own variances, at `depths`, of white noise.
     """
-    seen = seen_beside_a_border(terms, reach, rim)
+    seen = seen_beside_a_border(6, reach, rim)
     ratios = np.array([float(np.sum(weights**2)) / stated for weights, stated in seen])
     return np.asarray(ratios / ratios[-1])
 

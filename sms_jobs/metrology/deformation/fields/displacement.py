@@ -189,8 +189,8 @@ def blend_matches(
     Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
     the gradients it comes to 1.39 times the mean variance, to 0.81 times that of subsets of second order.
     Beside borders the latter is up to 2.4 times as much: see `border_factors`. The former is 0.75 to 1.3
-    times as much there, but errors that nobody sees come with it: it stays, and to it is added a quarter of
-    what the matches differ by.
+    times as much there, but beside waves and outlines it has errors besides noise that nothing shows: it
+    stays as it is, and a quarter of the matches' scatter is added.
 
     Where all matches lie to one side, nothing cancels: by how much they differ about the pixel, beyond what
     noise makes them differ, is added to the variance, in full where they fill half a disc, less where their

@@ -26,6 +26,7 @@ Width: TypeAlias = Callable[[Floats], Floats]
 
 _BIN = 2  # px of the images in one of those that are searched
 _NEXT = np.uint64(1)
+_ROUNDING = 1e-6  # px: corners and pixels are computed in other orders
 _MOST_PLACES = 4096  # along a ray
 _MOST_BESIDE = 100.0  # px: who knows so little calibrates again
 _AT_ONCE = 64  # squares, for the memory's sake
@@ -118,8 +119,8 @@ def _sees_all(
     rows, columns = image.shape
     cx, cy = int(np.rint(x)), int(np.rint(y))
     wide, high = half + abs(cx - x), half + abs(cy - y)
-    right = wide * abs(slope[0, 0]) + high * abs(slope[0, 1])
-    down = wide * abs(slope[1, 0]) + high * abs(slope[1, 1])
+    right = wide * abs(slope[0, 0]) + high * abs(slope[0, 1]) + _ROUNDING
+    down = wide * abs(slope[1, 0]) + high * abs(slope[1, 1]) + _ROUNDING
     own = cx >= half and cy >= half and cx + half < template.shape[1] and cy + half < template.shape[0]
     # Written so that NaN is outside.
     along = place[0] >= right and place[0] + right < columns - 1
