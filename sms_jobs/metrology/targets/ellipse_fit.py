@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.small_systems import back_substitute, factorise
 
 FITTED = 0
 TOO_FEW_PIXELS = 1
@@ -132,7 +133,10 @@ def _first_levels(pixels: Floats, count: int, p: Floats) -> bool:  # pragma: no 
 def _normal_equations(
     pixels: Floats, count: int, p: Floats, origin: Floats, normal: Floats, right: Floats
 ) -> float:  # pragma: no cover - compiled
-    """Fill the normal equations of a Gauss-Newton step; return the sum of squared residuals."""
+    """Fill the normal equations of a Gauss-Newton step, of the matrix the lower triangle.
+
+    Return the sum of squared residuals.
+    """
     normal[:] = 0.0
     right[:] = 0.0
     total = 0.0
@@ -169,7 +173,10 @@ def _normal_equations(
 def _step(
     p: Floats, size: float, variance: float, normal: Floats, right: Floats, most: float
 ) -> float:  # pragma: no cover - compiled
-    """Take at most a part of a Gauss-Newton step; return its size in pixels, infinite where it was cut."""
+    """Take at most a part of a Gauss-Newton step; return its size in pixels, infinite where it was cut.
+
+    The matrix is replaced by its Cholesky factor. Where there is none, no step is taken: NaN.
+    """
     # Slopes across the dot of more than half the contrast are not light: hold them with that much.
     hold = variance / (0.25 * (p[9] - p[6]) ** 2 + 1e-12) + 1e-12
     for a in (7, 8, 10, 11):
@@ -177,9 +184,10 @@ def _step(
         right[a] -= hold * p[a]
     for a in range(_PARAMETERS):
         normal[a, a] = normal[a, a] * (1.0 + 1e-9) + 1e-30
-        for b in range(a):
-            normal[b, a] = normal[a, b]
-    change = np.linalg.solve(normal, right)
+    if not factorise(normal):
+        return np.nan
+    back_substitute(normal, right)
+    change = right
     moved = math.sqrt(change[0] ** 2 + change[1] ** 2)
     reshaped = max(abs(change[2]), abs(change[3]), abs(change[4])) * size
     scale = most * min(1.0, (0.2 * size + 0.5) / (moved + 1e-12), 0.2 / (reshaped + 1e-12))
@@ -216,6 +224,8 @@ def _fit_one(image: Singles, start: Floats, out: Floats) -> int:  # pragma: no c
             return TOO_FEW_PIXELS
         variance = _normal_equations(pixels, count, p, origin, normal, right) / (count - _PARAMETERS)
         step = _step(p, size, variance, normal, right, 1.0 if iteration < _HALVED else 0.5)
+        if np.isnan(step):
+            return RAN_AWAY
         area = (p[2] * p[4] - p[3] * p[3]) * size * size
         away = math.sqrt((p[0] - origin[0]) ** 2 + (p[1] - origin[1]) ** 2)
         if not (0.25 < area < 4.0 and away < 0.5 * size + 0.5 and p[2] > 0.0):
@@ -223,13 +233,16 @@ def _fit_one(image: Singles, start: Floats, out: Floats) -> int:  # pragma: no c
         if iteration > 1 and step < _CONVERGED_PX:
             status = FITTED
             break
-    inverse = np.linalg.inv(normal)
     u, v = (p[0] - origin[0]) / size, (p[1] - origin[1]) / size
     for i in range(6):
         out[i] = p[i]
     out[6] = p[6] + p[7] * u + p[8] * v
     out[7] = p[9] + p[10] * u + p[11] * v
-    out[8], out[9], out[10] = variance * inverse[0, 0], variance * inverse[0, 1], variance * inverse[1, 1]
+    for a in range(2):
+        by_one = np.zeros(_PARAMETERS)
+        by_one[a] = variance
+        back_substitute(normal, by_one)
+        out[8 + a], out[9 + a] = by_one[0], by_one[1]
     out[11] = math.sqrt(variance)
     return status
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.small_systems import back_substitute, factorise
 
 _PARAMETERS = 9
 _ITERATIONS = 30
@@ -29,7 +30,10 @@ _SLOPE = math.sqrt(2.0 / math.pi)
 def _normal_equations(
     image: Singles, p: Floats, middle: Floats, radius: float, normal: Floats, right: Floats
 ) -> tuple[float, int]:  # pragma: no cover - compiled
-    """Fill the normal equations of a Gauss-Newton step; return the sum of squares and the pixels used."""
+    """Fill the normal equations of a Gauss-Newton step, of the matrix the lower triangle.
+
+    Return the sum of squares and the pixels used.
+    """
     rows, columns = image.shape
     normal[:] = 0.0
     right[:] = 0.0
@@ -61,8 +65,6 @@ def _normal_equations(
                     normal[a, b] += j[a] * j[b]
     for a in range(_PARAMETERS):
         normal[a, a] = normal[a, a] * (1.0 + 1e-9) + 1e-30
-        for b in range(a):
-            normal[b, a] = normal[a, b]
     return total, count
 
 
@@ -80,11 +82,11 @@ def _fit_one(image: Singles, start: Floats, out: Floats) -> None:  # pragma: no 
         total, count = _normal_equations(image, p, middle, radius, normal, right)
         if count < 3 * _PARAMETERS:
             return
-        if iteration == 0:
-            # Grey levels alone at first: without contrast the corner has no place.
-            p[5:] += np.linalg.solve(np.ascontiguousarray(normal[5:, 5:]), right[5:])
-            continue
-        change = np.linalg.solve(normal, right)
+        # Grey levels alone move at first: without contrast the corner has no place.
+        if not factorise(normal):
+            return
+        back_substitute(normal, right)
+        change = right
         moved = math.sqrt(change[0] ** 2 + change[1] ** 2)
         turned = radius * max(abs(change[2]), abs(change[3]))
         scale = min(1.0, 1.0 / (moved + 1e-12), 2.0 / (turned + 1e-12))
@@ -99,13 +101,12 @@ def _fit_one(image: Singles, start: Floats, out: Floats) -> None:  # pragma: no 
             return
         if iteration > _SETTLING and moved < _CONVERGED_PX:
             variance = total / (count - _PARAMETERS)
-            inverse = np.linalg.inv(normal)
             out[0], out[1], out[5], out[6] = p[0], p[1], p[5], math.sqrt(variance)
-            out[2], out[3], out[4] = (
-                variance * inverse[0, 0],
-                variance * inverse[0, 1],
-                variance * inverse[1, 1],
-            )
+            for a in range(2):
+                by_one = np.zeros(_PARAMETERS)
+                by_one[a] = variance
+                back_substitute(normal, by_one)
+                out[2 + a], out[3 + a] = by_one[0], by_one[1]
             return
 
 

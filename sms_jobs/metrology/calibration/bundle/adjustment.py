@@ -31,7 +31,6 @@ from sms_jobs.metrology.calibration.bundle.checks import (
     weakest_in_words,
 )
 from sms_jobs.metrology.calibration.bundle.lens_signature import missing_radial
-from sms_jobs.metrology.calibration.bundle.linear import inverse, solve
 from sms_jobs.metrology.calibration.bundle.normal_equations import (
     Live,
     Normal,
@@ -67,6 +66,7 @@ from sms_jobs.metrology.calibration.bundle.weights import (
     estimate_scale,
     first_scale,
 )
+from sms_jobs.metrology.small_systems import inverse, solve
 
 _FEWEST_ON_SPHERE = 12
 _FEWEST_ON_BOARD = 6

@@ -10,7 +10,6 @@ import numpy as np
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.bundle.covariance import point_jacobian
-from sms_jobs.metrology.calibration.bundle.linear import inverse
 from sms_jobs.metrology.calibration.bundle.normal_equations import Live, Packed
 from sms_jobs.metrology.calibration.bundle.parameters import Freedom, State, adjusted_sensor, sensor_arrays
 from sms_jobs.metrology.calibration.bundle.problem import BundleProblem
@@ -21,6 +20,7 @@ from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR, SENSOR_PARAMETERS, Pose, project
 from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.small_systems import inverse
 
 _MOST_RELATIVE = 0.01
 """Of a focal length, and of a principal point over the focal length: beyond it nothing is linear."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.calibration.bundle.linear import inverse
 from sms_jobs.metrology.calibration.bundle.normal_equations import Live, Observed, Packed
 from sms_jobs.metrology.calibration.bundle.parameters import Freedom
 from sms_jobs.metrology.calibration.bundle.problem import BundleProblem
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.metrology.geometry.lens import foreign
+from sms_jobs.metrology.small_systems import inverse
 
 _NEXT = ("k3", "k4")
 """Radial terms in the order in which a lens is asked for them."""
