@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 
 from sms_jobs.metrology.kernel_cache import cached
 
@@ -63,6 +64,15 @@ def inlined(function: F) -> F:
     one: that costs more than a short function does.
     """
     return cast(F, numba.njit(inline="always")(function))
+
+
+@inlined
+def variable(number: int) -> int:
+    """Return a whole number as a variable.
+
+    A constant has a type of its own, for which Numba compiles all that is called with it.
+    """
+    return int(np.int64(number))
 
 
 def in_row_blocks(work: Callable[[int, int], None], rows: int, threads: int, block: int = 64) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats, Ints
-from sms_jobs.metrology.compilation import inlined, kernel, uncounted_summing_kernel
+from sms_jobs.metrology.compilation import inlined, kernel, uncounted_summing_kernel, variable
 
 Interpolant: TypeAlias = Literal["quintic", "cubic", "local-cubic"]
 """The quintic and cubic B-splines through an image, or cubic B-splines each through 4 x 4 pixels alone."""
@@ -323,8 +323,8 @@ def spline_values(
         _cubic_points(flat, columns, code == 0, count, first, s, t, values)
         return
     last = flat.size - 5 * columns - _LANES + 1  # the first coefficient that has no eight in each row
-    scattered = 0  # where the points begin that neither run nor stretch has taken
-    start = 0
+    scattered = variable(0)  # where the points begin that neither run nor stretch has taken
+    start = variable(0)
     while start < count:
         level = first[start] - start
         stop = start + 1

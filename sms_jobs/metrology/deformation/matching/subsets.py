@@ -62,7 +62,7 @@ def collect(
     right = min(radius, columns - 1 - RIM - cx)
     top = max(-radius, RIM - cy)
     bottom = min(radius, rows - 1 - RIM - cy)
-    whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -RIM)
+    whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -float(RIM))
     tensor = blur_tensor(warp[1], warp[2], warp[4], warp[5])
     box[0], box[1], box[2], box[3] = right, left, bottom, top
     count = 0
@@ -96,7 +96,7 @@ def collect(
                 column = np.uint64(cx + i)
                 if labels[row, column] != label:
                     continue
-                if not whole and not inside(warp, cx, cy, i, i, j, j, rows, columns, -RIM):
+                if not whole and not inside(warp, cx, cy, i, i, j, j, rows, columns, -float(RIM)):
                     continue
                 dx[count] = i
                 dy[count] = j

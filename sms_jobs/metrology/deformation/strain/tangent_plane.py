@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel, variable
 from sms_jobs.metrology.deformation.fields.cells import Cells, cell_means
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.disc_sums import (
@@ -193,8 +193,8 @@ def _strain_rows(
                         continue
                     inverse = _slopes(frame, scatter, mixed, gradient)
                     strained = _strain_of(frame, gradient, green, f)
-                    of_own = _variance_of(f, sums, COVARIANCE, inverse)
-                    of_match = _variance_of(f, shared, 0, inverse)
+                    of_own = _variance_of(f, sums, variable(COVARIANCE), inverse)
+                    of_match = _variance_of(f, shared, variable(0), inverse)
                     for k in range(3):
                         strain[k, row, column] = strained[k]
                         own[k, row, column] = of_own[k] / sums[0]
