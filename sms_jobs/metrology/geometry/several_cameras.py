@@ -23,8 +23,8 @@ _STEPS = 3
 """Of Gauss-Newton from the closest approach of two rays, at most; each squares what is left of hundredths of
 a px."""
 _STILL = 1e-3
-"""Standard deviations of a match, below which a step is the last: where rays miss each other by a pixel, a
-thousandth of a focal length, the next one would be a thousandth of it."""
+"""Part of a depth's standard deviation that may be left to the next step: about this one's square over the
+depth, since where a point is seen is linear in all unknowns but that."""
 _SINGULAR = 1e-9
 """Part of what the images say of a depth that may be left beside what they say of the matches."""
 
@@ -225,7 +225,8 @@ def _meet_block(
                 chi = np.nan
                 break
             a, b, depth = a + step_a, b + step_b, depth + step_z
-            if aa * step_a**2 + bb * step_b**2 + zz * step_z**2 < _STILL**2:
+            chi = max(chi - ra * step_a - rb * step_b - rz * step_z, 0.0)
+            if step_z**2 < _STILL * np.sqrt(variance) * abs(depth):
                 break
         if not (np.isfinite(chi) and depth > 0.0):
             gap[i] = np.nan
