@@ -146,7 +146,7 @@ def _statistics(observation: BoardObservation) -> dict[str, float]:
 KIND = Kind(
     name=OBSERVE_BOARD,
     summary="find the points of a calibration board in camera and projector",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=ObserveBoardParameters,
     inputs=(_FRAMES,),

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from sms_jobs.kinds.point_matches import between_matches, trusted_points
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
@@ -19,6 +18,7 @@ from sms_jobs.metrology.deformation.matching.verification import verify_displace
 from sms_jobs.metrology.geometry.camera import pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays, slopes_of_places
+from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import PlacesSeen, Surface
 from sms_jobs.records.reasons import Reason
 
@@ -72,7 +72,7 @@ def places_of_pixels(
     )
     off = asks_for_another_place(verified.bias, variance)
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
-    disagree = ndimage.binary_opening(off | ~verified.agrees, np.ones((3, 3))) & np.isfinite(place[0])
+    disagree = widened(narrowed(off | ~verified.agrees, 3, border_ends=True), 3) & np.isfinite(place[0])
     place[:, disagree] = np.nan
     return PartnerPlaces(place, variance, spread.noise, disagree)
 

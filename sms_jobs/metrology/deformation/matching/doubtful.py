@@ -37,6 +37,17 @@ def _expected(
     return np.where(usable[..., None], there, np.nan), usable.sum(axis=1) >= _WITNESSES
 
 
+def _medians(rows: Floats) -> Floats:
+    """Return the median of what each of some short rows tells, NaN where it tells nothing.
+
+    NumPy's own, which knows of masks, takes many times as long.
+    """
+    ordered = np.sort(rows, axis=1)  # NaN come last
+    told = (~np.isnan(rows)).sum(axis=1)
+    each = np.arange(len(rows))
+    return np.asarray(0.5 * (ordered[each, (told - 1) // 2] + ordered[each, told // 2]))
+
+
 def outliers(found: Matches, nodes: Nodes, points: Ints, ratio: float) -> Ints:
     """Return which of some matched points contradict their neighbours.
 
@@ -51,8 +62,8 @@ def outliers(found: Matches, nodes: Nodes, points: Ints, ratio: float) -> Ints:
         block = outside[start : start + _BLOCK]
         for axis, value in enumerate((0, 3)):
             expected = there[judged, :, axis]
-            middle = np.nanmedian(expected, axis=1)
-            scatter = np.nanmedian(np.abs(expected - middle[:, None]), axis=1)
+            middle = _medians(expected)
+            scatter = _medians(np.abs(expected - middle[:, None]))
             least = np.maximum(_LEAST_SCATTER, found.sigma[own[judged], axis])
             deviation = np.abs(found.warp[own[judged], value] - middle)
             block[judged] |= deviation > ratio * np.maximum(scatter, least)

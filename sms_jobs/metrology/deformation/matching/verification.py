@@ -9,11 +9,12 @@ images differ by more than a displacement can explain, they do not show the same
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel, variable
 from sms_jobs.metrology.deformation.matching import window_maps
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
@@ -29,6 +30,8 @@ from sms_jobs.metrology.images.spline import KERNEL_CODE, PADDING, spline_values
 _WINDOW = 0.3  # radius of the windows, in subset radii: a tenth of a subset's pixels
 _SCALES = (4.0, 1.0, 0.5)  # half the sides of squares over which windows are averaged, in subset radii
 _ASKED_FOR = 3.0  # standard errors from which on a mean over windows is no chance
+_PART = 1_000_000  # pixels that are compared at a time, of which some thirty maps are kept
+_LEAST_ROWS = 256  # what surrounds fewer would be most of the work
 _ALONE = 4.0  # and standard deviations from which on one window is none
 _AT_MOST = 2.0  # standard errors by which the mean of a smaller square bounds that of a larger one
 _DISAGREE = 3.0  # variance left over, in units of the noise or, where that is more, of the median of all
@@ -36,6 +39,7 @@ _FINE = 0.4  # radius of means that are taken off what is coarse, in subset radi
 _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
 _RIM = 3  # px at an image's border: its spline, bent by reflection, is off by 0.01 px there
 _OTHER = 8.0  # median deviations from which on a pixel shows something else
+_SAMPLE = 20_000  # pixels that tell a median, to 2 %
 _LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
 _OTHERS = 0.25  # of a window's pixels that may show something else
 _LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
@@ -112,7 +116,7 @@ def _carry(top: int, left: int, coefficients: Floats, code: int, image: Floats, 
     s, t, values = np.empty(columns), np.empty(columns), np.empty(columns)
     where = np.empty(columns, dtype=np.int64)
     for r in range(rows):
-        count = 0
+        count = variable(0)
         carried[r] = np.nan
         if top + r < _RIM or top + r > last_row - _RIM:
             continue
@@ -267,16 +271,14 @@ def verify_displacement(
     rows, columns = box_of(known)
 
     def work(start: int, stop: int) -> None:
-        start, stop = max(start, rows.start), min(stop, rows.stop)
-        if not start < stop:
-            return
+        start, stop = start + rows.start, stop + rows.start
         top, bottom = max(start - halo, rows.start), min(stop + halo, rows.stop)
         square, left_over = _in_part(images, image, inner, (slice(top, bottom), columns), sizes, noise)
         own = np.s_[start - top : stop - top]
         bias[:, start:stop, columns] = _WHOLE_BIAS * square[:, own]
         misfit[start:stop, columns] = left_over[own]
 
-    in_row_blocks(work, len(known), threads, block=256)
+    in_row_blocks(work, rows.stop - rows.start, threads, _rows_of_parts(rows, columns, halo))
     misfit[~inner] = np.nan
     judged = np.abs(misfit[~np.isnan(misfit)])
     usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
@@ -286,6 +288,14 @@ def verify_displacement(
     # The outermost windows reach over from pixels that are alike.
     unlike = narrowed(np.isposinf(misfit), 3) & (usual <= _DISAGREE)
     return Verified(bias, agrees, unlike)
+
+
+def _rows_of_parts(rows: slice, columns: slice, halo: int) -> int:
+    """Return the rows of the even parts that a box is cut into, so that each stays small with its halo."""
+    height: int = rows.stop - rows.start
+    most: int = max(_LEAST_ROWS, _PART // max(columns.stop - columns.start, 1) - 2 * halo)
+    parts = max(1, ceil(height / most))
+    return max(1, ceil(height / parts))
 
 
 def _factors(
@@ -362,7 +372,9 @@ def _seen_as_deformed(images: PreparedImages, image: Floats, part: tuple[slice, 
 def _alike(residual: Floats, known: Mask) -> Mask:
     """Return the known pixels whose residual is no outlier among them: they show one thing in both images."""
     squares = residual**2
-    return known & (squares <= _OTHER**2 * (float(np.median(squares[known])) if known.any() else 0.0))
+    own = squares[known]
+    sample = own[:: max(1, len(own) // _SAMPLE)]
+    return known & (squares <= _OTHER**2 * (float(np.median(sample)) if len(sample) else 0.0))
 
 
 def _contrast(square: Floats, texture: Floats, part: Floats, window: int) -> Floats:
