@@ -81,6 +81,12 @@ def _seen_from(turn: Floats, shift: Floats, lens: Floats, x: float, y: float, z:
 
 
 @inlined
+def _along(direction: tuple[float, float, float], seen: Floats, j: int) -> float:
+    """Return the derivative along a direction of the number whose derivatives begin at `j` of `seen`."""
+    return float(seen[j] * direction[0] + seen[j + 1] * direction[1] + seen[j + 2] * direction[2])
+
+
+@inlined
 def _first_depth(
     direction: tuple[float, float, float],
     centre: Floats,
@@ -201,13 +207,10 @@ def _meet_block(
                     break
                 for axis in range(2):
                     j = 2 + 3 * axis
-                    by_z = seen[j] * d[0] + seen[j + 1] * d[1] + seen[j + 2] * d[2]
+                    by_z = _along(d, seen, j)
                     by_a, by_b = slopes[k, axis, 0, i], slopes[k, axis, 1, i]
                     if not (np.isfinite(by_a) and np.isfinite(by_b)):
-                        by_a = depth * (
-                            seen[j] * across[0] + seen[j + 1] * across[1] + seen[j + 2] * across[2]
-                        )
-                        by_b = depth * (seen[j] * down[0] + seen[j + 1] * down[1] + seen[j + 2] * down[2])
+                        by_a, by_b = depth * _along(across, seen, j), depth * _along(down, seen, j)
                     weight = 2.0 / sigma[k, axis, i] ** 2
                     off = places[k, axis, i] - seen[axis] - a * by_a - b * by_b
                     chi += weight * off * off
