@@ -56,6 +56,7 @@ def estimate_text(estimate: Estimate, now: datetime) -> str:
         say = f"no end in sight: no worker serves the queue {', '.join(estimate.unserved)}"
     elif estimate.seconds is None or estimate.ready_at is None:
         say = f"no estimate: there is no history yet of {new}"
+        say += "" if estimate.alive else "; no worker is there: start one with 'sms up'"
     else:
         span = duration(estimate.seconds)
         ready = clock(estimate.ready_at, now)

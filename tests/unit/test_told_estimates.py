@@ -45,5 +45,7 @@ def test_an_estimate_says_what_it_rests_on() -> None:
     )
     nothing = replace(KNOWN, seconds=None, ready_at=None, unknown={"merge": 40})
     assert estimate_text(nothing, NOW) == "no estimate: there is no history yet of merge (40)"
+    told = estimate_text(replace(nothing, alive=False), NOW)
+    assert told.endswith("merge (40); no worker is there: start one with 'sms up'")
     assert "no worker serves the queue io" in estimate_text(replace(nothing, unserved=("io",)), NOW)
     assert estimate_text(replace(KNOWN, reused=40), NOW) == "nothing has to be computed: 40 of 40 are reused"
