@@ -151,15 +151,17 @@ def _interpolate_rows(
             elif not _plane_weights(labels, label, left, top, px, py, weights):
                 continue
             for k in range(value.shape[0]):
-                total = np.zeros(3)
+                total, along_x, along_y = 0.0, 0.0, 0.0
                 for j in range(4):
                     for i in range(4):
                         if weights[0, j, i] != 0.0 or labels[top + j, left + i] == label:
-                            for m in range(3):
-                                total[m] += weights[m, j, i] * field[k, top + j, left + i]
-                value[k, r, c] = total[0]
-                slope[k, 0, r, c] = total[1]
-                slope[k, 1, r, c] = total[2]
+                            own = field[k, top + j, left + i]
+                            total += weights[0, j, i] * own
+                            along_x += weights[1, j, i] * own
+                            along_y += weights[2, j, i] * own
+                value[k, r, c] = total
+                slope[k, 0, r, c] = along_x
+                slope[k, 1, r, c] = along_y
             for k in range(value_covariance.shape[0]):
                 spread = 0.0
                 for j in range(4):
