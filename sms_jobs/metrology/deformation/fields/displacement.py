@@ -310,12 +310,7 @@ def displacement_field(
     status[(status == 0) & (stray | np.isnan(moved[0]))] = NO_SHAPE_AT_END
     # Within two px of another region they may see either, whichever has got them.
     status[(status == 0) & beside_another_label(labels)] = OUTSIDE_REGION
-    biased = np.zeros_like(spread)
-    for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
-        for axis in range(2):
-            along = slope[i, axis] * slope[j, axis]
-            biased[packed] += along * bias[axis]
-            spread[packed] += along * (variance[axis] + bias[axis])
+    biased = _carry_variances(variance, bias, slope, spread, threads)
     if common is not None and reference.own_noise is not None and deformed.own_noise is not None:
         own = reference.own_noise[:, *part], deformed.own_noise
         take_common_noise(spread, (xyz, end), labels, slope, own, (end_x, end_y), common.part(part), threads)
@@ -326,6 +321,27 @@ def displacement_field(
     image[:, everywhere != 0] = np.nan
     moved, spread, biased = (_in_whole(field, part, (rows, columns)) for field in (moved, spread, biased))
     return DenseDisplacement(moved, spread, image, biased, everywhere)
+
+
+def _carry_variances(variance: Floats, bias: Floats, slope: Floats, spread: Floats, threads: int) -> Floats:
+    """Add a match's variances to a covariance (6, rows, columns); return that of the bias alone.
+
+    `slope` (3, 2, rows, columns) carries them into space.
+    """
+    biased = np.empty_like(spread)
+
+    def work(start: int, stop: int) -> None:
+        own = np.s_[..., start:stop, :]
+        along, of_bias = slope[own], bias[own]
+        of_all = variance[own] + of_bias
+        for packed, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+            both = along[i] * along[j]
+            biased[packed][own] = (both * of_bias).sum(axis=0)
+            spread[packed][own] += (both * of_all).sum(axis=0)
+
+    # Of few rows all that is needed stays in a core's cache.
+    in_row_blocks(work, spread.shape[1], threads, block=16)
+    return biased
 
 
 def _in_whole(field: Floats, part: tuple[slice, slice], shape: tuple[int, int]) -> Floats:
