@@ -9,6 +9,7 @@ from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.small_systems import back_substitute, factorise, inverse, solve
 
 CONDITION = 1e6  # of the systems once their diagonal is 1
+# Of Cholesky's method, and of what it is compared with, each a few times condition and rounding.
 ROUNDING = 10.0 * CONDITION * np.finfo(float).eps
 
 

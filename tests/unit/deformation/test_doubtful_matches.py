@@ -117,6 +117,21 @@ def row_of_matches(u: np.ndarray) -> tuple[Matches, Nodes]:
     return found, nodes
 
 
+def test_neighbours_that_were_not_matched_are_not_asked(rng: np.random.Generator) -> None:
+    found, nodes = row_of_matches(rng.normal(0.5, 0.05, 12))
+    found.ending[rng.random(len(nodes.x)) < 0.3] = NOT_CONVERGED
+    u, judged = found.warp[:, 0], found.ending == CONVERGED
+    expected = []
+    for point in np.flatnonzero(judged):
+        near = [k for k in nodes.around[point, :8] if k >= 0 and judged[k]]
+        middle = np.median(u[near])
+        scatter = np.median(np.abs(u[near] - middle))
+        if len(near) >= 3 and abs(u[point] - middle) > 2.0 * max(scatter, 0.01):
+            expected.append(point)
+    assert 2 < len(expected) < len(u) // 2
+    np.testing.assert_array_equal(outliers(found, nodes, np.arange(len(u)), 2.0), expected)
+
+
 def test_a_doubtful_match_is_tried_again_from_its_neighbours(rng: np.random.Generator) -> None:
     found, nodes = row_of_matches(rng.normal(0.5, 0.002, 10))
     stray = 14

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from support.two_cameras import VOLUME, Floats, cameras
 
 from sms_jobs.metrology.geometry.camera import project, ray_directions
@@ -92,6 +93,36 @@ def test_points_of_a_tilted_surface_scatter_as_their_covariance_says(count: int,
     assert np.mean(score) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / draws))
     freedom = 2 * (count - 1) - 1
     assert np.mean(met.chi_square) == pytest.approx(freedom, abs=4.0 * np.sqrt(2.0 * freedom / draws))
+
+
+@pytest.mark.parametrize("off_px", [SIGMA, 1.0])
+def test_what_ends_early_is_at_the_least_sum_of_squares(off_px: float) -> None:
+    """A general solver goes on until nothing changes: a thousandth of a deviation may be left."""
+    (reference, *partners), pixels, places = in_images(points(20), 3)
+    random = np.random.default_rng(5)
+    places = places + random.normal(0.0, off_px, places.shape)
+    slopes = np.broadcast_to(np.eye(2)[None, :, :, None], (2, 2, 2, 20)) + random.normal(
+        0, 0.2, (2, 2, 2, 20)
+    )
+    met = meet_rays(reference, partners, pixels, places, np.full_like(places, SIGMA), slopes)
+    centre = reference.pose.centre()
+    rays = ray_directions(reference.intrinsics, reference.pose, pixels.T)
+    for i, ray in enumerate(rays):
+
+        def residuals(unknown: Floats, i: int = i, ray: Floats = ray) -> Floats:
+            at = (centre + unknown[2] * ray)[None]
+            seen = np.stack([project(one.intrinsics, one.pose, at)[0] for one in partners])
+            off = places[:, :, i] - seen - slopes[:, :, :, i] @ unknown[:2]
+            return np.sqrt(2.0) / SIGMA * np.concatenate([unknown[:2], off.ravel()])
+
+        start = np.array([0.0, 0.0, np.linalg.norm(met.xyz[:, i] - centre)])
+        scale = np.array([SIGMA, SIGMA, 0.1])
+        best = least_squares(residuals, start, x_scale=scale, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        deviation = np.sqrt(met.covariance[[0, 3, 5], i].sum())
+        assert abs(start[2] - best.x[2]) < 1e-3 * deviation
+        # Residuals that are off by a thousandth of a deviation change the root of their sum of squares by that.
+        chi_square = 2.0 * best.cost
+        assert met.chi_square[i] == pytest.approx(chi_square, abs=2e-3 * np.sqrt(chi_square))
 
 
 def test_a_third_camera_halves_nothing_that_it_shares() -> None:

@@ -30,16 +30,16 @@ from sms_jobs.metrology.images.spline import KERNEL_CODE, PADDING, spline_values
 _WINDOW = 0.3  # radius of the windows, in subset radii: a tenth of a subset's pixels
 _SCALES = (4.0, 1.0, 0.5)  # half the sides of squares over which windows are averaged, in subset radii
 _ASKED_FOR = 3.0  # standard errors from which on a mean over windows is no chance
-_PART = 1_000_000  # pixels that are compared at a time, of which some thirty maps are kept
-_LEAST_ROWS = 256  # what surrounds fewer would be most of the work
 _ALONE = 4.0  # and standard deviations from which on one window is none
 _AT_MOST = 2.0  # standard errors by which the mean of a smaller square bounds that of a larger one
 _DISAGREE = 3.0  # variance left over, in units of the noise or, where that is more, of the median of all
 _FINE = 0.4  # radius of means that are taken off what is coarse, in subset radii
+_PART = 1_000_000  # pixels that are compared at a time, of which some thirty maps are kept
+_LEAST_ROWS = 256  # what surrounds fewer would be most of the work
 _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
 _RIM = 3  # px at an image's border: its spline, bent by reflection, is off by 0.01 px there
 _OTHER = 8.0  # median deviations from which on a pixel shows something else
-_SAMPLE = 20_000  # pixels that tell a median, to 2 %
+_SAMPLE, _EVERY = 20_000, 8  # pixels that tell a median, to 2 %; of more, every so many, at most
 _LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
 _OTHERS = 0.25  # of a window's pixels that may show something else
 _LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
@@ -373,7 +373,7 @@ def _alike(residual: Floats, known: Mask) -> Mask:
     """Return the known pixels whose residual is no outlier among them: they show one thing in both images."""
     squares = residual**2
     own = squares[known]
-    sample = own[:: max(1, len(own) // _SAMPLE)]
+    sample = own[:: min(max(1, len(own) // _SAMPLE), _EVERY)]  # within a subset of each other
     return known & (squares <= _OTHER**2 * (float(np.median(sample)) if len(sample) else 0.0))
 
 
