@@ -120,7 +120,7 @@ def test_what_ends_early_is_at_the_least_sum_of_squares(off_px: float) -> None:
         best = least_squares(residuals, start, x_scale=scale, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         deviation = np.sqrt(met.covariance[[0, 3, 5], i].sum())
         assert abs(start[2] - best.x[2]) < 1e-3 * deviation
-        # Residuals that are off by a thousandth of a deviation change the root of their sum of squares by that.
+        # The root of a sum of squares changes by no more than its residuals do.
         chi_square = 2.0 * best.cost
         assert met.chi_square[i] == pytest.approx(chi_square, abs=2e-3 * np.sqrt(chi_square))
 
