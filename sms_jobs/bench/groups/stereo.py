@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
 from sms_jobs.bench.compared_fields import reported_over_observed
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
-from sms_jobs.bench.peers import PEERS, peers_folder
+from sms_jobs.bench.peers import PEERS, Ratio, peers_folder
 from sms_jobs.bench.two_cameras.compared_programs import (
     GT4_SPACING_PX,
     GT4_SUBSET_PX,
@@ -71,6 +72,7 @@ _RATE_RADIUS, _RATE_SPACING = 15, 5
 _LENSES: dict[str, Lens] = {"telephoto": TELEPHOTO, "wide-angle": WIDE_ANGLE}
 _PEERS = {"pyvale": 3.0, "al_dic": 10.0}
 """Programs, and by how much we want to be faster."""
+_ROUNDS = 3
 _CASES = {
     "shift": "pyvale's plate, rendered by riley, shifted by 5 mm along x and y, part of it out of the image",
     "hole": "pyvale's plate with a hole, rendered by riley, stretched by 0.1 mm, against its mesh",
@@ -311,27 +313,25 @@ def _peers(run: Run) -> Iterator[Found]:
     yield from _programs_on_published(run, folder)
     run.say("stereo: rendering plates")
     cases = rendered_plates(folder, run.folder)
-    found: dict[tuple[str, str], Outcome] = {}
+    taken: dict[str, list[dict[str, Outcome]]] = {}
     for name, case in cases.items():
         prepare(case.given, run.folder / name)
-        for program in ("here", *_PEERS):
-            run.say(f"stereo: {name}, {program}")
-            outcome = (
-                measured_here(case.given)
-                if program == "here"
-                else measured_by(folder, program, run.folder / name)
-            )
-            found[name, program] = outcome
-    hole = found["hole", "here"]
+        taken[name] = []
+        for number in range(1, _ROUNDS + 1):
+            run.say(f"stereo: {name}, round {number} of {_ROUNDS}")
+            others = {program: measured_by(folder, program, run.folder / name) for program in _PEERS}
+            taken[name].append({"here": measured_here(case.given), **others})
+    hole = taken["hole"][0]["here"]
     yield Figure("platehole_rms_um", _rms_um(hole.errors_mm(cases["hole"])), "um", 0.5, "at most")
     yield Figure("platehole_valid_part", hole.valid_part(cases["hole"]), "1", 0.97)
     for program, target in _PEERS.items():
-        ratio = min(
-            found[name, "here"].points_per_cpu_s() / found[name, program].points_per_cpu_s() for name in cases
-        )
-        yield Figure(f"points_per_cpu_s_over_{program}", ratio, "1", target)
+        ratios = {name: _ratio(rounds, program) for name, rounds in taken.items()}
+        worst = min(ratios.values(), key=lambda ratio: median(ratio.rounds))
+        yield worst.figure(f"points_per_cpu_s_over_{program}", target)
+        told = "; ".join(f"{name}, {one.told()}" for name, one in ratios.items())
+        yield Condition(f"points_per_cpu_s_over_{program}", told)
     for name, case in cases.items():
-        each = "; ".join(_told(program, found[name, program], case) for program in ("here", *_PEERS))
+        each = "; ".join(_told(program, taken[name][0][program], case) for program in ("here", *_PEERS))
         yield Condition(f"platehole, {name}", f"{_CASES[name]}: {each}")
     yield Condition(
         "points_per_cpu_s_over",
@@ -339,6 +339,11 @@ def _peers(run: Run) -> Iterator[Found]:
         "images to displacement, loading and compiling left out; here shape and covariance of every "
         "pixel are in it, and second order between the cameras, which the others do not have",
     )
+
+
+def _ratio(rounds: list[dict[str, Outcome]], program: str) -> Ratio:
+    """Return our rate over that of a program, round by round."""
+    return Ratio(tuple(one["here"].points_per_cpu_s() / one[program].points_per_cpu_s() for one in rounds))
 
 
 def _programs_on_published(run: Run, folder: Path) -> Iterator[Found]:
