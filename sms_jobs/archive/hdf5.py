@@ -16,7 +16,7 @@ import hdf5plugin
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.archive.codec import ArrayField, checked_array, layout_of, plain_to_json
+from sms_jobs.archive.codec import checked_array, layout_of, plain_to_json
 from sms_jobs.archive.form import FORMAT, FORMAT_VERSION, LARGEST_TEXT_BYTES
 from sms_jobs.archive.hashing import ArrayDigest, ArrayHash, RecordDigest, manifest_text
 from sms_jobs.archive.limits import LARGEST_SLAB_BYTES
@@ -36,6 +36,8 @@ FIELDS = "record_fields"
 BLOCK = "block"
 PROCESS = "process"
 MANIFEST = "manifest"
+_SCALAR = h5py.h5s.create(h5py.h5s.SCALAR)
+_TEXT = h5py.h5t.py_create(h5py.string_dtype(), logical=True)
 _RESERVED = {PROCESS, MANIFEST, "title", "start_time", "definition"}
 
 
@@ -90,54 +92,63 @@ def _write_stack(dataset: Any, stack: Any, hashed: ArrayHash) -> None:
         dataset[start:stop] = slab
 
 
-def _name(node: Any, attribute: str, names: Sequence[str]) -> None:
-    """Attach a list of names, which may be empty."""
-    node.attrs.create(attribute, np.array(names, object), dtype=h5py.string_dtype())
+def _attach(node: Any, attribute: str, text: str | Sequence[str]) -> None:
+    """Attach a text or a list of names, which may be empty.
+
+    By HDF5's own interface: h5py's `attrs` asks first what is there, and makes the type anew for each, which
+    takes twice as long, and a small file is mostly attributes.
+    """
+    values = np.array(text, object)
+    space = _SCALAR if values.ndim == 0 else h5py.h5s.create_simple(values.shape)
+    h5py.h5a.create(node.id, attribute.encode(), _TEXT, space).write(values)
 
 
 def _describe(dataset: Any, quantity: Quantity) -> None:
     """Attach unit, meaning, axes and the names of components and flags."""
-    dataset.attrs["units"] = quantity.unit
-    dataset.attrs["long_name"] = f"{quantity.meaning} [{quantity.unit}]"
-    dataset.attrs["meaning"] = quantity.meaning
-    _name(dataset, "axes", quantity.axes)
+    _attach(dataset, "units", quantity.unit)
+    _attach(dataset, "long_name", f"{quantity.meaning} [{quantity.unit}]")
+    _attach(dataset, "meaning", quantity.meaning)
+    _attach(dataset, "axes", quantity.axes)
     if quantity.components:
-        _name(dataset, "components", quantity.components)
+        _attach(dataset, "components", quantity.components)
     if quantity.is_image:
-        dataset.attrs["interpretation"] = "image"
+        _attach(dataset, "interpretation", "image")
     if quantity.unit == "bit":
-        _name(dataset, "flag_names", [str(flag.name) for flag in Reason])
+        _attach(dataset, "flag_names", [str(flag.name) for flag in Reason])
         dataset.attrs["flag_masks"] = np.array([flag.value for flag in Reason], np.uint32)
 
 
 def _text(group: h5py.Group, name: str, text: str) -> None:
     """Write a text of fixed length: viewers show it, and it lies in one place of the file."""
     raw = text.encode() or b"\0"
-    group.create_dataset(name, data=np.bytes_(raw), dtype=h5py.string_dtype("utf-8", len(raw)))
+    kind = h5py.h5t.py_create(h5py.string_dtype("utf-8", len(raw)), logical=True)
+    dataset = h5py.h5d.create(group.id, name.encode(), kind, _SCALAR)
+    dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, np.array(raw, np.bytes_), kind)
 
 
-def _plot_as_nxdata(group: h5py.Group, arrays: Mapping[str, ArrayField]) -> None:
+def _plot_as_nxdata(group: h5py.Group, written: Mapping[str, tuple[Any, Quantity]]) -> None:
     """Say what a viewer shows first: the first image, or the first value over points."""
-    images = [n for n, f in arrays.items() if n in group and f.quantity.is_image]
-    points = [n for n, f in arrays.items() if n in group and f.quantity.axes == ("point",)]
+    images = [n for n, (_, quantity) in written.items() if quantity.is_image]
+    points = [n for n, (_, quantity) in written.items() if quantity.axes == ("point",)]
     if images:
         signal = images[0]
-        axes = ["."] * (group[signal].ndim - 2) + ["row", "column"]
-        for axis, length in zip(axes[-2:], group[signal].shape[-2:], strict=True):
-            group.create_dataset(axis, data=np.arange(length, dtype=np.int32))
-            group[axis].attrs["units"] = "px"
-            group[axis].attrs["long_name"] = f"{axis} [px]"
-        others = [n for n in images[1:] if group[n].shape == group[signal].shape]
+        shape = written[signal][0].shape
+        axes = ["."] * (len(shape) - 2) + ["row", "column"]
+        for axis, length in zip(axes[-2:], shape[-2:], strict=True):
+            places = group.create_dataset(axis, data=np.arange(length, dtype=np.int32))
+            _attach(places, "units", "px")
+            _attach(places, "long_name", f"{axis} [px]")
+        others = [n for n in images[1:] if written[n][0].shape == shape]
         if others:
-            _name(group, "auxiliary_signals", others)
-    elif {"x", "y"} < set(points) and group["x"].size:
+            _attach(group, "auxiliary_signals", others)
+    elif {"x", "y"} < set(points) and written["x"][0].size:
         signal, axes = next(n for n in points if n not in ("x", "y", "region")), ["x", "y"]
     else:
-        group.attrs["NX_class"] = "NXcollection"
+        _attach(group, "NX_class", "NXcollection")
         return
-    group.attrs["NX_class"] = "NXdata"
-    group.attrs["signal"] = signal
-    _name(group, "axes", axes)
+    _attach(group, "NX_class", "NXdata")
+    _attach(group, "signal", signal)
+    _attach(group, "axes", axes)
 
 
 def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
@@ -147,14 +158,16 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
         raise InvalidInput(f"'{name}' cannot be the name of a record in a file")
     group = entry.create_group(name)
     arrays: list[ArrayDigest] = []
+    written: dict[str, tuple[Any, Quantity]] = {}
     quantities = quantities_of(record)
     for field_name, field in layout.arrays.items():
         value = getattr(record, field_name)
         if value is None and field.optional:
             continue
         array = checked_array(f"{name}.{field_name}", field, value)
+        quantity = quantities[field_name]
         dataset = _create(group, field_name, array.shape, array.dtype, field.streamed)
-        _describe(dataset, quantities[field_name])
+        _describe(dataset, quantity)
         block = chunk_shape(array.shape, np.dtype(array.dtype).itemsize, field.streamed)
         hashed = ArrayHash(block)
         if field.streamed:
@@ -163,20 +176,21 @@ def _write_record(entry: h5py.Group, name: str, record: Any) -> RecordDigest:
             hashed.update(array)
             dataset[...] = array
         dataset.attrs[BLOCK] = np.array(block, np.int64)
-        dataset.attrs["sha256"] = hashed.sha256()
-        arrays.append(_digest_of(field_name, dataset, hashed))
+        _attach(dataset, "sha256", hashed.sha256())
+        arrays.append(_digest_of(field_name, dataset, quantity.unit, block, hashed))
+        written[field_name] = dataset, quantity
     plain = plain_to_json(record)
-    group.attrs["record"] = type(record).__name__
-    _name(group, "arrays", [described["name"] for described in arrays])
+    _attach(group, "record", type(record).__name__)
+    _attach(group, "arrays", [described["name"] for described in arrays])
     _text(group, FIELDS, plain)
-    _plot_as_nxdata(group, layout.arrays)
+    _plot_as_nxdata(group, written)
     return {"name": name, "record": type(record).__name__, "fields": plain, "arrays": arrays}
 
 
 def _write_process(entry: h5py.Group, provenance: Provenance) -> None:
     """Write the provenance: NeXus' own fields for any reader, and all of it as JSON for this program."""
     group = entry.create_group(PROCESS)
-    group.attrs["NX_class"] = "NXprocess"
+    _attach(group, "NX_class", "NXprocess")
     everything = provenance_to_json(provenance)
     parts = json.loads(everything)
     texts = {
@@ -191,7 +205,7 @@ def _write_process(entry: h5py.Group, provenance: Provenance) -> None:
     }
     for name, text in texts.items():
         _text(group, name, text)
-    group.attrs["sha256"] = digest(everything)
+    _attach(group, "sha256", digest(everything))
 
 
 def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -> str:
@@ -201,27 +215,28 @@ def write(file: h5py.File, records: Mapping[str, Any], provenance: Provenance) -
     """
     if not records:
         raise InvalidInput(f"there is no record to seal for {provenance.subject}")
-    file.attrs.update(
-        {
-            "NX_class": "NXroot",
-            "default": "entry",
-            "creator": f"sms_jobs {provenance.program_version}",
-            "file_time": provenance.created_at.astimezone(UTC).isoformat(),
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-        }
-    )
+    root = file["/"]
+    about = {
+        "NX_class": "NXroot",
+        "default": "entry",
+        "creator": f"sms_jobs {provenance.program_version}",
+        "file_time": provenance.created_at.astimezone(UTC).isoformat(),
+        "format": FORMAT,
+    }
+    for name, text in about.items():
+        _attach(root, name, text)
+    root.attrs["format_version"] = FORMAT_VERSION
     entry = file.create_group("entry")
-    entry.attrs["NX_class"] = "NXentry"
-    _name(entry, "records", list(records))
+    _attach(entry, "NX_class", "NXentry")
+    _attach(entry, "records", list(records))
     _text(entry, "title", f"{provenance.kind} of {provenance.subject}")
     _text(entry, "start_time", provenance.created_at.astimezone(UTC).isoformat())
     manifest = manifest_text([_write_record(entry, name, one) for name, one in records.items()])
     _text(entry, MANIFEST, manifest)
     plotted = [name for name in records if entry[name].attrs["NX_class"] == "NXdata"]
-    entry.attrs["default"] = next(iter(plotted or records))
+    _attach(entry, "default", next(iter(plotted or records)))
     _write_process(entry, provenance)
-    file.attrs["content_hash"] = digest(manifest)
+    _attach(root, "content_hash", digest(manifest))
     return digest(manifest)
 
 
@@ -236,15 +251,15 @@ def _slabs(dataset: Any, block: Sequence[int]) -> Iterator[NDArray[Any]]:
         yield np.ascontiguousarray(dataset[start : start + step])
 
 
-def _digest_of(name: str, dataset: Any, hashed: ArrayHash) -> ArrayDigest:
+def _digest_of(name: str, dataset: Any, unit: str, block: Sequence[int], hashed: ArrayHash) -> ArrayDigest:
     """Return what the manifest says of an array that was hashed as a whole."""
     return {
         "name": name,
         "dtype": dataset.dtype.str,
         "shape": list(dataset.shape),
-        "unit": dataset.attrs["units"],
+        "unit": unit,
         "sha256": hashed.sha256(),
-        "block": [int(length) for length in dataset.attrs[BLOCK]],
+        "block": list(block),
         "checks": hashed.checks(),
     }
 
@@ -257,7 +272,7 @@ def _found_digest(name: str, dataset: Any) -> ArrayDigest:
         hashed.update(slab)
     if dataset.attrs["sha256"] != hashed.sha256():
         raise ValueError(f"the values of {name} have another hash than is written beside them")
-    return _digest_of(name, dataset, hashed)
+    return _digest_of(name, dataset, dataset.attrs["units"], block, hashed)
 
 
 def _block_of(dataset: Any) -> tuple[int, ...]:
