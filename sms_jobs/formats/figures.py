@@ -30,7 +30,7 @@ GREY_LEVELS = "gray"
 LIMIT_PERCENTILES = (1.0, 99.0)
 """Colours span the middle 98 % of the values: a few wild pixels must not flatten the rest."""
 
-
+_PACKING = 3
 _FLAT = 1e-6  # ten times the rounding of single precision
 
 
@@ -100,23 +100,23 @@ def robust_limits(values: NDArray[Any]) -> tuple[float, float]:
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="compressed", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="compressed", facecolor="white")
 
 
 def as_png(figure: Figure) -> bytes:
-    """Return a figure as PNG."""
+    """Return a figure as PNG. The same picture has the same bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
     buffer = io.BytesIO()
-    if (layout := figure.get_layout_engine()) is not None:
-        # To save a figure that is laid out as it is drawn draws it twice.
-        layout.execute(figure)
-        figure.set_layout_engine("none")
-    # Without the version of the program: the same picture has the same bytes.
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    # Not by the figure's own `savefig`: it draws what is laid out twice, keeps a fourth channel that is the
+    # same everywhere, and packs twice as long for 6 % less.
+    opaque = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    opaque.save(buffer, "PNG", compress_level=_PACKING, dpi=(DOTS_PER_INCH, DOTS_PER_INCH))
     return buffer.getvalue()
 
 
