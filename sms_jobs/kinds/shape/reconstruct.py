@@ -196,7 +196,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=27,
+    version=28,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

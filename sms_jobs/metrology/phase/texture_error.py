@@ -133,17 +133,20 @@ def _spline_gradient(image: Floats) -> Floats:
 
 
 def roughness(brightness: Floating) -> Floats:
-    """Return how far the brightness is from straight along columns and rows, (2, rows, columns).
+    """Return how much the brightness changes within three pixels along columns and rows, (2, rows, columns).
 
-    The largest second difference at a pixel and its two neighbours, in units of the pixel's brightness: an
-    edge in the middle of a pixel has none there, but beside it. The outermost pixels count more: they have
+    The length of its central first and its second difference, in units of the pixel's brightness: an edge in
+    the middle of a pixel is all slope, one at its side half bend. The outermost pixels count more: they have
     no gradient.
     """
     image = np.asarray(brightness, dtype=np.float64)
     rough = np.empty((2, *image.shape))
     for component, axis in enumerate((1, 0)):
-        bent = np.abs(ndimage.correlate1d(image, [1.0, -2.0, 1.0], axis=axis, mode="nearest"))
-        rough[component] = ndimage.maximum_filter1d(bent, 3, axis=axis, mode="nearest")
+        slope, bend = (
+            ndimage.correlate1d(image, weights, axis=axis, mode="nearest")
+            for weights in ([-0.5, 0.0, 0.5], [1.0, -2.0, 1.0])
+        )
+        rough[component] = np.hypot(slope, bend)
         np.moveaxis(rough[component], axis, 0)[[0, -1]] *= _OUTERMOST
     with np.errstate(divide="ignore", invalid="ignore"):
         rough /= image
