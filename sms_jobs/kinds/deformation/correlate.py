@@ -298,7 +298,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=24,
+    version=25,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

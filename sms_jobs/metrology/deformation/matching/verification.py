@@ -17,7 +17,9 @@ from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel, variable
 from sms_jobs.metrology.deformation.matching import window_maps
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
+from sms_jobs.metrology.deformation.matching.slow_changes import moved_by_slow_changes
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
+from sms_jobs.metrology.deformation.matching.window_maps import means
 from sms_jobs.metrology.images.masks import box_of, narrowed
 from sms_jobs.metrology.images.smoothing import (
     noise_after_smoothing,
@@ -91,7 +93,7 @@ class _Sizes:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Factors on the noise that is told: of a pixel's variance, of what windows see, and of differences.
+    """Factors on noise: of a pixel, of what windows see, of differences, and as if it were white.
 
     `left_by_fit` is the part of the windows' that the displacement has not followed; at the image's border,
     where it is carried, it has followed none.
@@ -100,6 +102,7 @@ class _Noise:
     pixel: float
     window: float
     rough: float
+    white: float
     left_by_fit: float
 
 
@@ -150,14 +153,6 @@ def _see_as_deformed(
                 seen[r, c] += blur * blurred_more(gradient_x, gradient_y, r, c, tensor)
 
 
-def _means(values: Floats, radius: int) -> Floats:
-    """Return the means over squares of 2 radius + 1 pixels, of what is 0 beyond the border."""
-    import cv2
-
-    size = (2 * radius + 1, 2 * radius + 1)
-    return np.asarray(cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_CONSTANT))
-
-
 def _left_over(
     f: Floats, g: Floats, known: Mask, trusted: Mask, radius: int
 ) -> tuple[Floats, Floats, Floats]:
@@ -168,9 +163,9 @@ def _left_over(
     f = np.ascontiguousarray(f)
     products = tuple(np.empty(f.shape) for _ in range(4))
     window_maps.trusted_products(f, g, trusted, *products)
-    weight = _means(trusted.astype(np.float64), radius)
+    weight = means(trusted.astype(np.float64), radius)
     residual, gain, texture = (np.empty(f.shape) for _ in range(3))
-    f_means, g_means, gg, fg = (_means(one, radius) for one in products)
+    f_means, g_means, gg, fg = (means(one, radius) for one in products)
     window_maps.without_light(f, g, known, weight, (f_means, g_means, gg, fg), residual, gain, texture)
     return residual, gain, texture
 
@@ -205,7 +200,7 @@ def _bounded(found: Floats, maps: tuple[Floats, ...], scale: int, window: int) -
     """Return the mean square over squares, or `found` as far as it has room, where that is no chance."""
     independent = (2 * scale + 1) ** 2 / (_DEPENDENT * (2 * window + 1) ** 2)
     bound = np.empty(found.shape)
-    weight, excess, chance = (_means(one, scale) for one in maps)
+    weight, excess, chance = (means(one, scale) for one in maps)
     window_maps.bounded(found, (weight, excess, chance), independent, _ASKED_FOR, _AT_MOST, bound)
     return bound
 
@@ -220,11 +215,11 @@ def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> 
     rough[1:-1, 1:-1] = rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:]
     inner = narrowed(known, 3, border_ends=True)
     squares = np.where(inner, rough**2 / variance, 0.0)
-    share = _means(inner.astype(np.float64), radius)
+    share = means(inner.astype(np.float64), radius)
     everywhere = float(np.mean(squares[inner])) if inner.any() else 1.0
     enough = share > _LEAST_SHARE
     return np.maximum(
-        np.where(enough, _means(squares, radius) / np.where(enough, share, 1.0), everywhere), 1.0
+        np.where(enough, means(squares, radius) / np.where(enough, share, 1.0), everywhere), 1.0
     )
 
 
@@ -310,6 +305,7 @@ def _factors(
         noise_of_pixels(smoothing_px) / told,
         left_by_fit * seen / told,
         noise_of_differences(smoothing_px) / told,
+        1.0 / told,
         left_by_fit,
     )
 
@@ -351,9 +347,12 @@ def _in_part(
     square = np.stack(
         [_mean_square(a, n, known, told, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
     )
-    x, y, fine = (np.where(like, one - _means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
+    x, y, fine = (np.where(like, one - means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
     fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
     window_maps.raise_where_sure(fine_asked, spread, roughness, known, _ALONE, square)
+    white = roughness * noise.white * variance
+    moved = moved_by_slow_changes(residual, (gx, gy), white, like, known, (sizes.subset, sizes.coarse))
+    np.maximum(square, moved, out=square)
     squares = np.empty(residual.shape)
     window_maps.mended_squares(residual, asked, (gx, gy), (like, known), _FAR, squares)
     return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
@@ -382,7 +381,7 @@ def _contrast(square: Floats, texture: Floats, part: Floats, window: int) -> Flo
 
     The texture is 0 where it is not known; `square` are the means of its square, `part` those of what is.
     """
-    return np.maximum(square - _means(texture, window) ** 2 / part, 0.0)
+    return np.maximum(square - means(texture, window) ** 2 / part, 0.0)
 
 
 def _misfit(
@@ -399,17 +398,17 @@ def _misfit(
     With a minus where what differs is little beside the texture, whatever the noise; NaN where nothing is
     known, where texture and squares are 0. Single pixels that show something else are no matter.
     """
-    whole = np.maximum(_means(known.astype(np.float64), window), 1e-12)
-    part = np.maximum(_means(like.astype(np.float64), window), 1e-12)
+    whole = np.maximum(means(known.astype(np.float64), window), 1e-12)
+    part = np.maximum(means(like.astype(np.float64), window), 1e-12)
     relative = np.where(like, squares / np.where(like, variance, 1.0), 0.0)
-    misfit = _means(relative, window) / part
-    left = _means(np.where(like, squares, 0.0), window)
+    misfit = means(relative, window) / part
+    left = means(np.where(like, squares, 0.0), window)
     alike = np.where(like, texture, 0.0)
-    alike_square = _means(alike**2, window)
+    alike_square = means(alike**2, window)
     misfit[left < _LIKE_ENOUGH * _contrast(alike_square, alike, part, window)] *= -1.0
     misfit[(left > _UNLIKE * alike_square) & (misfit > _DISAGREE * roughness)] = np.inf
-    contrast = _contrast(_means(texture**2, window), texture, whole, window)
-    every = _means(squares, window) > _LIKE_ENOUGH * contrast
+    contrast = _contrast(means(texture**2, window), texture, whole, window)
+    every = means(squares, window) > _LIKE_ENOUGH * contrast
     misfit[every & (part < (1.0 - _OTHERS) * whole)] = np.inf
     misfit[~known] = np.nan
     return misfit
@@ -419,8 +418,8 @@ def _asked_for(
     gx: Floats, gy: Floats, residual: Floats, variance: Floats, radius: int
 ) -> tuple[Floats, Floats]:
     """Return the displacement (2, ..) in px that windows about each pixel ask for, and its variance."""
-    xx, xy, yy = (_means(a * b, radius) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
-    along_x, along_y = _means(gx * residual, radius), _means(gy * residual, radius)
+    xx, xy, yy = (means(a * b, radius) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
+    along_x, along_y = means(gx * residual, radius), means(gy * residual, radius)
     asked, spread = np.empty((2, *variance.shape)), np.empty((2, *variance.shape))
     pixels = (2 * radius + 1) ** 2
     window_maps.solved((xx, xy, yy), (along_x, along_y), variance, pixels, asked, spread)

@@ -1,4 +1,4 @@
-"""Arithmetic on maps of what windows see, pixel by pixel: one pass each, where NumPy would make many.
+"""Means over windows, and arithmetic on maps of them, pixel by pixel: one pass each, where NumPy makes many.
 
 All maps are (rows, columns); the last arguments are filled.
 """
@@ -21,6 +21,14 @@ def _least(a: float, b: float) -> float:
 def _most(a: float, b: float) -> float:
     """Return the larger number, or NaN where one is."""
     return a if (a > b) | (a != a) else b
+
+
+def means(values: Floats, radius: int) -> Floats:
+    """Return the means over squares of 2 radius + 1 pixels, of what is 0 beyond the border."""
+    import cv2
+
+    size = (2 * radius + 1, 2 * radius + 1)
+    return np.asarray(cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_CONSTANT))
 
 
 @kernel
