@@ -106,5 +106,5 @@ def _words(advice: Advice) -> dict[str, object]:
         "grey levels": f"{found.low:.0f} to {found.high:.0f} of {advice.full_scale:.0f} (1 % to 99 %)",
         "saturated": f"{found.saturated:.2%}",
         "noise": "not known: give a second image or --noise" if noise is None else f"{noise:.2f}",
-        "least subset radius": f"{advice.least_radius_px} px",
+        "least subset radius": "none" if advice.least_radius_px is None else f"{advice.least_radius_px} px",
     }

@@ -27,6 +27,8 @@ class Parameters(BaseModel):
             if not name:
                 why = first["msg"].removeprefix("Value error, ")
                 raise InvalidInput(f"the parameters of {kind} do not fit together: {why}") from error
+            if first["type"] == "extra_forbidden":
+                raise InvalidInput(f"{kind} has no parameter '{name}'; its parameters are {names}") from error
             raise InvalidInput(
                 f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {first['msg']}; "
                 f"its parameters are {names}"

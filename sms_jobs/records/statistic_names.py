@@ -43,6 +43,7 @@ _IN_UNIT = ("rms", "bias", "largest")
 
 _BEFORE = "_before"
 _LOST_TO = "lost_to_"
+_OF_POINTS = "_fraction_of_points"
 
 
 def before(channel: str) -> str:
@@ -76,7 +77,16 @@ def losses(statistics: Mapping[str, float]) -> dict[str, float]:
 
 def fraction_of_points(reason: Reason) -> str:
     """Return the name of the part of the matched points that has a reason."""
-    return f"{_word(reason)}_fraction_of_points"
+    return f"{_word(reason)}{_OF_POINTS}"
+
+
+def losses_of_points(statistics: Mapping[str, float]) -> dict[str, float]:
+    """Return which part of the matched points is lost by what, in words."""
+    return {
+        name.removesuffix(_OF_POINTS).replace("_", " "): value
+        for name, value in statistics.items()
+        if name.endswith(_OF_POINTS)
+    }
 
 
 def _word(reason: Reason) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 from support.command import answer, inside, service
 from support.homes import make_home
 
@@ -80,3 +82,25 @@ def test_a_job_that_finds_nothing_says_so(plate: Path) -> None:
     assert waited["nothing_valid"]["latest"].startswith(said)
     why = run(plate, "job", "explain", *again)["explanation"]
     assert any(sentence.startswith("nothing valid") for sentence in why)
+
+
+def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path) -> None:
+    folder = home.parent / "grid"
+    folder.mkdir()
+    rows, columns = np.mgrid[0:96, 0:96]
+    for number in range(2):
+        wave = np.cos(2.0 * np.pi * (rows + 0.3 * number) / 9.0) * np.cos(2.0 * np.pi * columns / 9.0)
+        Image.fromarray(np.rint(128.0 + 90.0 * wave).astype(np.uint8)).save(folder / f"grid_{number}.png")
+    run(home, "init")
+    run(home, "import", "images", str(folder), "-c", "grid", "--camera", "C1", "--yes")
+    with service(home):
+        done = inside(
+            "job", "submit", "plane", "correlate", "strain", "-c", "grid", "--wait", "--home", str(home)
+        )
+        (correlate,) = [job for job in run(home, "job", "list") if job["kind"] == "correlate"]
+    # The strain that is made of it is as empty, and its own result knows no reason.
+    assert "2 ended with nothing valid" in done.stderr
+    assert "correlate grid/1/C1: nothing valid: of the points are lost" in done.stderr
+    assert "by ambiguous texture" in done.stderr
+    why = run(home, "job", "explain", correlate["id"])["explanation"]
+    assert any("by ambiguous texture" in sentence for sentence in why)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from sms_jobs.metrology.images.texture_quality import Texture
 
 _RADII_PX = (7, 10, 13, 16, 20, 26, 32)
+_LIKE_NOISE = 0.3
+"""How alike neighbours may differ between two images of one state; of noise over 1000 px it is 0 to 0.1."""
 GAUGES_PX = (30.0, 60.0, 90.0, 120.0)
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
@@ -58,7 +60,7 @@ class Advice:
     noise
         Standard deviation of a pixel in grey levels; None where it is not known.
     least_radius_px
-        From which on subsets hold enough of the texture.
+        From which on subsets hold enough of the texture; None where there is none.
     choices
         One for each of some subset radii.
     remarks
@@ -68,7 +70,7 @@ class Advice:
     texture: Texture
     full_scale: float
     noise: float | None
-    least_radius_px: int
+    least_radius_px: int | None
     choices: tuple[Choice, ...]
     remarks: tuple[str, ...]
 
@@ -141,13 +143,14 @@ def advise(image: Image, again: Image | None = None, noise: float | None = None)
     from sms_jobs.metrology.images.texture_quality import (
         examine_texture,
         gauge_sigma,
+        likeness_of_neighbours,
         match_sigma,
         noise_of_pair,
         suggested_radius,
     )
 
     texture = image.levels
-    sigma = image.noise if noise is None else noise
+    sigma, alike = image.noise if noise is None else noise, 0.0
     if again is not None:
         second = again.levels
         if second.shape != texture.shape:
@@ -156,6 +159,9 @@ def advise(image: Image, again: Image | None = None, noise: float | None = None)
                 f"{texture.shape[1]} x {texture.shape[0]}; give two images of one camera and state"
             )
         sigma = noise_of_pair(_middle(texture), _middle(second))
+        alike = likeness_of_neighbours(_middle(texture), _middle(second))
+        if np.array_equal(texture, second):
+            sigma = None
     found = examine_texture(_middle(texture), sigma or 0.0, image.full_scale)
     choices = tuple(
         Choice(
@@ -166,8 +172,17 @@ def advise(image: Image, again: Image | None = None, noise: float | None = None)
         )
         for radius in _RADII_PX
     )
-    remarks = tuple(_remarks(found, image.full_scale, sigma))
-    return Advice(found, image.full_scale, sigma, suggested_radius(found), choices, remarks)
+    remarks = _remarks(found, image.full_scale, sigma)
+    if again is not None and sigma is None:
+        remarks.append(f"{again.name} is the same image pixel for pixel: record the state a second time")
+    if alike > _LIKE_NOISE:
+        remarks.append(
+            f"neighbouring pixels differ alike between the two images (correlation {alike:.2f}; noise has 0, "
+            f"at most {_LIKE_NOISE:g} is taken for it): the noise is not that of the camera. Take two images "
+            "of one state at rest, without compression"
+        )
+    least = suggested_radius(found) if isfinite(found.speckle_px) else None
+    return Advice(found, image.full_scale, sigma, least, choices, tuple(remarks))
 
 
 def _known(value: float, sigma: float | None) -> float | None:

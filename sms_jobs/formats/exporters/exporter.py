@@ -85,7 +85,10 @@ class Exporter:
 def faces_of(mesh: Mesh) -> NDArray[np.int32]:
     """Return the faces of a mesh, (faces, 3); raise `MeasurementFailed` if there is none to write."""
     if len(mesh.faces) == 0:
-        raise MeasurementFailed("the mesh has no face: there is nothing to export")
+        raise MeasurementFailed(
+            "the mesh has no face, since no square of pixels has values at all of its corners: there is "
+            "nothing to export; 'sms data show' of the shape and the displacement says why"
+        )
     return mesh.faces
 
 

@@ -13,15 +13,16 @@ from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.records.job import JobState
-from sms_jobs.records.statistic_names import VALID_FRACTION_OF_IMAGE, losses
+from sms_jobs.records.statistic_names import VALID_FRACTION_OF_IMAGE, losses, losses_of_points
 
+_MOST_ASKED = 20  # results
 _MOST_TOLD = 2  # reasons
 _LEAST_TOLD = 0.01  # of the pixels
 
 
 @dataclass(frozen=True)
 class EmptyResults:
-    """The results of some jobs in which nothing is valid: how many, and what is said of the latest."""
+    """The results of some jobs in which nothing is valid: how many, and what the latest tells."""
 
     count: int = 0
     latest: str = ""
@@ -38,7 +39,9 @@ def empty_results(session: Session, some: Chosen, began: datetime) -> EmptyResul
     count = session.scalar(select(func.count()).select_from(found.subquery())) or 0
     if not count:
         return EmptyResults()
-    latest = session.execute(found.order_by(FileRow.id.desc()).limit(1)).one()
+    some_latest = session.execute(found.order_by(FileRow.id.desc()).limit(_MOST_ASKED)).all()
+    # What is made of an empty result is as empty, and cannot say why.
+    latest = next((one for one in some_latest if _reasons(session, one.file_id)), some_latest[0])
     return EmptyResults(count, f"{latest.kind} {latest.subject}: {explanation(session, latest.file_id)}")
 
 
@@ -50,10 +53,18 @@ def explanations(session: Session, job: JobRow) -> list[str]:
 
 def explanation(session: Session, file_id: int) -> str:
     """Say by which reasons a file has no valid value."""
-    lost = losses(search.statistics(session, file_id))
-    worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]
-    told = " and ".join(f"{lost[name]:.0%} by {name}" for name in worst)
-    return f"nothing valid: of the lit pixels are lost {told}" if told else "nothing valid"
+    told = _reasons(session, file_id)
+    return f"nothing valid: {told}" if told else "nothing valid"
+
+
+def _reasons(session: Session, file_id: int) -> str:
+    """Return what took most of the pixels of a file, or of the points that were matched; "" if unknown."""
+    statistics = search.statistics(session, file_id)
+    for what, lost in (("lit pixels", losses(statistics)), ("points", losses_of_points(statistics))):
+        worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]
+        if worst:
+            return f"of the {what} are lost " + " and ".join(f"{lost[n]:.0%} by {n}" for n in worst)
+    return ""
 
 
 def _empty() -> Select[str, str, int]:

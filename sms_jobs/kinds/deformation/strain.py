@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, Self
@@ -54,6 +55,8 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _USUAL_MM, _USUAL_PX, _USUAL_SQUARE_PX = 20.0, 60.0, 7
+_MOST_DIAGONALS = 2.0
+"""Longest gauge, in diagonals of the image: a disc about any pixel then covers all of it."""
 
 
 class StrainParameters(Parameters):
@@ -166,6 +169,14 @@ def _gauge_of(surface: Surface, pitch: float, parameters: StrainParameters) -> _
         side = parameters.square_px
         return _Gauge(side * pitch, radius_of_equal_spread(side), side)
     length = gauge_length_of(surface, parameters)
+    rows, columns = surface.reason.shape
+    longest = _MOST_DIAGONALS * math.hypot(rows, columns)
+    if length > longest * pitch:
+        raise InvalidInput(
+            f"a gauge length of {length:g} {surface.unit} is {length / pitch:.4g} px in the image of "
+            f"{surface.view}, which has {columns} x {rows} px: at most {longest:.4g} px, "
+            f"{longest * pitch:.4g} {surface.unit}, can be fitted; give a shorter one"
+        )
     return _Gauge(length, 0.5 * length / pitch)
 
 

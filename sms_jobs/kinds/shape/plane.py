@@ -39,7 +39,10 @@ class PlaneParameters(Parameters):
     """How large a pixel is, and where the specimen ends."""
 
     mm_per_px: float | None = Field(
-        None, gt=0.0, description="size of a pixel on the specimen; without it results are in pixels"
+        None,
+        ge=1e-9,
+        le=1e6,
+        description="size of a pixel on the specimen; without it results are in pixels",
     )
     outline: Literal["texture", "none"] = Field(
         "texture",

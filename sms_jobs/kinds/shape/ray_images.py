@@ -65,7 +65,11 @@ def why_nothing(view: View, off_px: float) -> str:
     """Return in words why textures do not match along the rays."""
     cameras = " and ".join(view.sensors)
     if not np.isfinite(off_px):
-        return f"{cameras} see nothing together: their textures do not overlap, or are too weak"
+        return (
+            f"{cameras} see nothing together: their textures do not overlap within the measurement volume, "
+            "or are too weak; look at both images, examine them by 'sms data advise', and compare the volume "
+            "of the calibration with where the specimen stood"
+        )
     return (
         f"the textures of {cameras} match, but {off_px:.2g} px (median) beside the images of their rays: the "
         "calibration is not that of these images; the cameras may be swapped, or have moved since"

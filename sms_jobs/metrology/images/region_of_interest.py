@@ -62,12 +62,18 @@ def _corners(shape: str, words: list[str]) -> Floats:
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError as error:
-        raise ValueError(f"'{' '.join(words[:8])}' has a word that is no number: {error}") from None
+        raise ValueError(
+            f"'{' '.join(words[:8])}' has a word that is no number: {error}; outlines are written as "
+            "'rectangle LEFT TOP RIGHT BOTTOM' or 'polygon X Y X Y X Y', in px"
+        ) from None
     if not (np.abs(numbers) <= _LARGEST).all():
         raise ValueError(f"a corner of the {shape} lies beyond {_LARGEST:g} px")
     if shape == "rectangle":
         if len(numbers) != 4 or numbers[2] < numbers[0] or numbers[3] < numbers[1]:
-            raise ValueError(f"a rectangle has LEFT TOP RIGHT BOTTOM, in px, and not '{' '.join(words[:8])}'")
+            raise ValueError(
+                f"a rectangle has LEFT TOP RIGHT BOTTOM, in px, RIGHT at or beyond LEFT and BOTTOM at or "
+                f"below TOP, and not '{' '.join(words[:8])}'"
+            )
         left, top, right, bottom = numbers
         return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     if shape != "polygon":

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.deformation import strain
 from sms_jobs.kinds.deformation.strain import StrainParameters
+from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
 
@@ -135,3 +137,22 @@ def test_the_reference_state_has_no_strain(plate: Any) -> None:
     assert tuple(strain.KIND.subjects(plate.campaign)) == tuple(
         Subject("plate", "S01", view) for view in plate.campaign.views
     )
+
+
+def test_a_gauge_beyond_the_image_is_refused_with_its_limit(plate: Any) -> None:
+    with pytest.raises(InvalidInput, match=r"1e\+09 mm is .* px in the image of C1P1, which has .* at most"):
+        plate.run(strain.KIND, plate.subject("S01", VIEW), StrainParameters(gauge_length_mm=1e9))
+
+
+def test_a_parameter_that_is_none_is_told_from_a_wrong_value() -> None:
+    with pytest.raises(
+        InvalidInput, match=r"^strain has no parameter 'gauge'; its parameters are gauge_length_mm"
+    ):
+        StrainParameters.checked("strain", {"gauge": 3})
+    with pytest.raises(
+        InvalidInput, match=r"parameter 'fold_angle_deg' of strain cannot be -1: .* greater than 0"
+    ):
+        StrainParameters.checked("strain", {"fold_angle_deg": -1})
+    for size in (0.0, -1.0, 1e300):
+        with pytest.raises(InvalidInput, match="parameter 'mm_per_px' of plane cannot be"):
+            PlaneParameters.checked("plane", {"mm_per_px": size})

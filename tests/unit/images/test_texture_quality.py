@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sms_jobs.app.fields.textures import Image, advise
 from sms_jobs.bench.correlated.speckle_pairs import shift, speckle_pair
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
@@ -16,6 +17,7 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.images.texture_quality import (
     examine_texture,
     gauge_sigma,
+    likeness_of_neighbours,
     match_sigma,
     noise_of_pair,
     suggested_radius,
@@ -89,3 +91,37 @@ def test_strain_falls_with_gauge_length_as_the_lever_says(pair: tuple[np.ndarray
     moments = np.sum((offset**2 * np.ones((201, 1)))[inside])
     exact = match_sigma(texture, RADIUS) * 21 / np.sqrt(moments)
     assert sigma[0] == pytest.approx(exact / (1.0 + 0.25 * 0.1 + 1.27 * 0.01), rel=0.01)
+
+
+def image_of(name: str, levels: np.ndarray) -> Image:
+    return Image(name, np.clip(np.rint(levels), 0, 4095).astype(np.uint16), 4095.0, None)
+
+
+def test_a_pair_that_has_moved_is_told_from_noise(pair: tuple[np.ndarray, np.ndarray]) -> None:
+    rng = np.random.default_rng(4)
+    first, second, moved = (
+        one + rng.normal(0.0, NOISE, one.shape) for one in (pair[0], 1.1 * pair[0], pair[1])
+    )
+    second[40:44, 40:44] = 4000.0  # dust that came between counts as little as with the noise
+    # The correlation of white noise over 2 x 25600 pairs scatters by 0.005.
+    assert abs(likeness_of_neighbours(first, second)) < 0.02
+    assert likeness_of_neighbours(first, moved) > 0.5
+    at_rest = advise(image_of("a", first), image_of("b", second))
+    in_motion = advise(image_of("a", first), image_of("b", moved))
+    assert not any("alike" in remark for remark in at_rest.remarks)
+    assert any("alike" in remark and "at rest" in remark for remark in in_motion.remarks)
+
+
+def test_an_image_tells_no_noise_with_itself(pair: tuple[np.ndarray, np.ndarray]) -> None:
+    found = advise(image_of("a", pair[0]), image_of("a again", pair[0]))
+    assert found.noise is None
+    assert any("a again is the same image" in remark for remark in found.remarks)
+
+
+def test_black_and_blank_images_get_words_and_no_radius() -> None:
+    black = image_of("black", np.zeros((SIZE, SIZE)))
+    grey = image_of("grey", np.random.default_rng(5).normal(70.0, 2.0, (SIZE, SIZE)))
+    for pair_of in ((black, black), (grey, black), (black, grey)):
+        found = advise(*pair_of)
+        assert found.least_radius_px is None or found.texture.contrast > 0.0
+        assert any("grey levels are used" in remark for remark in found.remarks)
