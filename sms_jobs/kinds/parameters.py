@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -24,10 +25,35 @@ class Parameters(BaseModel):
             first = error.errors(include_url=False)[0]
             name = ".".join(str(part) for part in first["loc"])
             names = ", ".join(cls.model_fields) or "none"
+            why = in_words(first["msg"])
             if not name:
-                why = first["msg"].removeprefix("Value error, ")
                 raise InvalidInput(f"the parameters of {kind} do not fit together: {why}") from error
+            if first["type"] == "extra_forbidden":
+                near = get_close_matches(name, cls.model_fields, 1)
+                meant = f"did you mean '{near[0]}'; " if near else ""
+                raise InvalidInput(
+                    f"{kind} has no parameter '{name}'; {meant}its parameters are {names}"
+                ) from error
             raise InvalidInput(
-                f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {first['msg']}; "
-                f"its parameters are {names}"
+                f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {why}"
             ) from error
+
+
+def in_words(message: str) -> str:
+    """Return what a validator says of a value as a person would say it."""
+    for technical, plain in _PLAIN.items():
+        message = message.replace(technical, plain)
+    return message
+
+
+_PLAIN = {
+    "Value error, ": "",
+    "Input should": "it should",
+    ", unable to parse string as an integer": "",
+    ", unable to parse string as a number": "",
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid list": "a list",
+    "a valid dictionary": "an object",
+    "a valid string": "text",
+}
