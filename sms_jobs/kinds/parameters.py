@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, in_words
 
 
 class Parameters(BaseModel):
@@ -37,23 +37,3 @@ class Parameters(BaseModel):
             raise InvalidInput(
                 f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {why}"
             ) from error
-
-
-def in_words(message: str) -> str:
-    """Return what a validator says of a value as a person would say it."""
-    for technical, plain in _PLAIN.items():
-        message = message.replace(technical, plain)
-    return message
-
-
-_PLAIN = {
-    "Value error, ": "",
-    "Input should": "it should",
-    ", unable to parse string as an integer": "",
-    ", unable to parse string as a number": "",
-    "a valid integer": "a whole number",
-    "a valid number": "a number",
-    "a valid list": "a list",
-    "a valid dictionary": "an object",
-    "a valid string": "text",
-}
