@@ -175,3 +175,23 @@ class DeviceFault(InstrumentError):
 
 class FrameLost(InstrumentError):
     """A camera did not deliver a frame that was triggered; the pattern can be shown again."""
+
+
+def in_words(message: str) -> str:
+    """Return what a validator says of a value as a person would say it."""
+    for technical, plain in _PLAIN.items():
+        message = message.replace(technical, plain)
+    return message
+
+
+_PLAIN = {
+    "Value error, ": "",
+    "Input should": "it should",
+    ", unable to parse string as an integer": "",
+    ", unable to parse string as a number": "",
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid list": "a list",
+    "a valid dictionary": "an object",
+    "a valid string": "text",
+}

@@ -24,7 +24,7 @@ from sms_jobs.cli.found_files import (
 )
 from sms_jobs.cli.options import Force, Record, StoredFile
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.shown.files import Ancestor
+from sms_jobs.records.shown.files import Ancestor, FileView
 from sms_jobs.records.sizes import size
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def tree(
         return
     from rich.tree import Tree
 
-    root = Tree(f"{found.file.source} {found.file.subject} ({found.file.id})")
+    root = Tree(_named(found.file))
     _grow(root, found.inputs, whole)
     output.answer().print(root)
     if found.more:
@@ -161,6 +161,11 @@ def plot(
     output.say(f"wrote {out}")
 
 
+def _named(file: FileView) -> str:
+    """Return what a file is, of what, and its number; a calibration is of no subject."""
+    return " ".join(part for part in (file.source, file.subject, f"({file.id})") if part)
+
+
 def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
     """Add inputs to a tree; of many from one source only the first, unless the whole tree is asked for."""
     by_source: dict[str, list[Ancestor]] = {}
@@ -172,9 +177,7 @@ def _grow(node: Tree, inputs: tuple[Ancestor, ...], whole: bool) -> None:
             more = "; its inputs are shown elsewhere" if ancestor.repeated else ""
             if ancestor.more:
                 more = f"; there is more, see 'sms data tree {ancestor.file.id}'"
-            child = node.add(
-                f"{ancestor.role}: {ancestor.file.source} {ancestor.file.subject} ({ancestor.file.id}){more}"
-            )
+            child = node.add(f"{ancestor.role}: {_named(ancestor.file)}{more}")
             _grow(child, ancestor.inputs, whole)
         if len(shown) < len(alike):
             node.add(f"and {len(alike) - 1} more of {source}; --all shows them")

@@ -402,7 +402,7 @@ def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
     for text in settings:
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise InvalidInput(f"'{text}' is not NAME=VALUE")
+            raise InvalidInput(f"--set {text} is not NAME=VALUE; write it like --set gauge_length_mm=30")
         parameters[name] = value.split(",") if "," in value else value
     return parameters
 

@@ -7,6 +7,7 @@ option of its own it leaves among the words, from which `split_words` takes it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 from typer.core import TyperCommand
@@ -21,9 +22,10 @@ CONTEXT = {"ignore_unknown_options": True}
 """Settings of a command whose words are given to `split_words`."""
 
 
-def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
+def split_words(words: Sequence[str], own: Sequence[str] = ()) -> tuple[list[str], list[str]]:
     """Part the names of kinds from options, and return these as NAME=VALUE.
 
+    `own` are the command's own options, one of which may be meant by what has no value.
     Raises `InvalidInput` for an option without a value and for options of several kinds.
     """
     kinds, settings = [], []
@@ -36,6 +38,9 @@ def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
         if not equals:
             value = next(left, "--")
         if not name or value.startswith("--"):
+            near = get_close_matches(word, own, 1, cutoff=0.8)
+            if near:
+                raise InvalidInput(f"there is no option '{word}'; did you mean '{near[0]}'")
             raise InvalidInput(f"'{word}' needs a value: write {word} VALUE, or --set NAME=VALUE")
         settings.append(f"{name.replace('-', '_')}={value}")
     if settings and len(kinds) != 1:
@@ -55,9 +60,12 @@ class KindCommand(TyperCommand):
     """A command whose help shows the parameters of the kinds that stand before `--help`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Keep the words for the help."""
+        """Keep the words for the help; refuse a misspelt option of the command's own."""
         ctx.meta[_WORDS] = tuple(args)
-        return super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:
+            split_words(ctx.params["kind"], [name for one in self.params for name in one.opts])
+        return rest
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the command's help, then that of the kinds."""

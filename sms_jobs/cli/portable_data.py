@@ -143,7 +143,10 @@ def unpack(
             rows = [(one.outcome, one.path, one.detail) for one in done.not_well]
             output.print_table(["outcome", "file", "why"], rows, empty="")
         now = "would be" if dry_run else "are now"
-        output.say(f"{done.entered} of {len(done.files)} files that were new {now} in the catalogue")
+        if done.files:
+            output.say(f"{done.entered} of {len(done.files)} files that were new {now} in the catalogue")
+        else:
+            output.say("nothing is new: every file of the folder is in the catalogue already")
         for view in done.calibrations:
             output.say(
                 f"calibration {view.id} of rig {view.rig} came along and is used for {used_for(view)}; "

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, in_words
 
 
 class Parameters(BaseModel):
@@ -24,12 +25,15 @@ class Parameters(BaseModel):
             first = error.errors(include_url=False)[0]
             name = ".".join(str(part) for part in first["loc"])
             names = ", ".join(cls.model_fields) or "none"
+            why = in_words(first["msg"])
             if not name:
-                why = first["msg"].removeprefix("Value error, ")
                 raise InvalidInput(f"the parameters of {kind} do not fit together: {why}") from error
             if first["type"] == "extra_forbidden":
-                raise InvalidInput(f"{kind} has no parameter '{name}'; its parameters are {names}") from error
+                near = get_close_matches(name, cls.model_fields, 1)
+                meant = f"did you mean '{near[0]}'; " if near else ""
+                raise InvalidInput(
+                    f"{kind} has no parameter '{name}'; {meant}its parameters are {names}"
+                ) from error
             raise InvalidInput(
-                f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {first['msg']}; "
-                f"its parameters are {names}"
+                f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {why}"
             ) from error

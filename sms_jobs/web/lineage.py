@@ -98,5 +98,10 @@ def _box(file: FileView, x: int, y: int, own: bool) -> Markup:
         f"{file.source} {file.subject}",
         *(x, y, _WIDTH, _HEIGHT),
         *(x + 8, y + 17, file.source[:_LETTERS]),
-        *(x + 8, y + 32, file.subject[-_LETTERS:] or file.path[-_LETTERS:]),
+        *(x + 8, y + 32, _end(file.subject or file.path)),
     )
+
+
+def _end(text: str) -> str:
+    """Return as much of the end of a text as fits into a box."""
+    return text if len(text) <= _LETTERS else f"…{text[1 - _LETTERS :]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -24,8 +25,15 @@ from sms_jobs.errors import (
     SmsError,
     StorageFull,
     StorageUnusable,
+    in_words,
 )
 from sms_jobs.records.texts import harmless
+
+_LETTERS = 100
+_OF_ADDRESSES = {
+    404: "there is no address {path}; GET /api/v1 lists them",
+    405: "{path} does not take {method}; GET /api/v1 lists what it takes",
+}
 
 _STATUS: tuple[tuple[type[SmsError], int], ...] = (
     (PasswordNeeded, 403),
@@ -108,6 +116,24 @@ def refused(error: SmsError) -> dict[str, Any]:
     }
 
 
+def _told(errors: Sequence[Any]) -> str:
+    """Say what is wrong with a request; of a misspelt name before what then is missing."""
+    first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
+    place = ".".join(str(part) for part in first["loc"][1:]) or str(first["loc"][0])
+    if first["type"] == "json_invalid":
+        return f"the body is no JSON, at character {place}: {first['ctx']['error']}"
+    if first["type"] == "extra_forbidden":
+        return f"'{place}' is not known here"
+    if first["type"] == "missing":
+        return f"'{place}' is missing"
+    value = first.get("input")
+    # What stands in a body may be a password.
+    given = f", not {str(value)[:_LETTERS]!r}" if first["loc"][0] in ("query", "path") else ""
+    if first["loc"] == ("body",) and isinstance(value, str | bytes):
+        return "the body should be an object in JSON, sent with 'Content-Type: application/json'"
+    return f"'{place}': {in_words(first['msg'])}{given}"
+
+
 def install(app: FastAPI) -> None:
     """Let every error of an application be answered in one form."""
 
@@ -117,14 +143,15 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     def _invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"][1:]) or str(first["loc"][0])
-        return refusal(InvalidInput(f"{place}: {first['msg']}; /api/v1/openapi.json says what is expected"))
+        return refusal(InvalidInput(f"{_told(error.errors())}; /api/v1/openapi.json says what is expected"))
 
     @app.exception_handler(HTTPException)
-    def _other(_request: Request, error: HTTPException) -> JSONResponse:
+    def _other(request: Request, error: HTTPException) -> JSONResponse:
         if isinstance(error.__cause__, SmsError):
             # The body was refused while it came.
             return refusal(error.__cause__)
-        body = {"error": error.detail, "kind": "HTTP", "exit_code": 2, "retryable": False}
+        told = _OF_ADDRESSES.get(error.status_code, "{detail}").format(
+            method=request.method, path=request.url.path[:_LETTERS], detail=error.detail
+        )
+        body = {"error": harmless(told), "kind": "HTTP", "exit_code": 2, "retryable": False}
         return JSONResponse(body, error.status_code, error.headers)

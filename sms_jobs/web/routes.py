@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, get_type_hints
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import JSONResponse
 
 from sms_jobs.app.rules import Rule, require, rule_of
+from sms_jobs.errors import InvalidInput
 from sms_jobs.records.plain import SCHEMA, plain
 from sms_jobs.web import identity
 from sms_jobs.web.refusals import DESCRIBED
@@ -28,6 +29,21 @@ def answer(value: Any, status: int = 200) -> JSONResponse:
 def returned(use_case: Callable[..., Any]) -> Any:
     """Return the type of what a use case returns, as a description of an answer that repeats it."""
     return get_type_hints(inspect.unwrap(use_case))["return"]
+
+
+def _only_known(request: Request) -> None:
+    """Refuse a name in the query that the address does not take, rather than answer another question."""
+    known = dict.fromkeys(_names_in_the_query(request.scope["route"].dependant))
+    for name in request.query_params:
+        if name not in known:
+            taken = f"it takes {', '.join(known)}" if known else "it takes none"
+            raise InvalidInput(f"'{name}' is no parameter of {request.url.path}; {taken}")
+
+
+def _names_in_the_query(dependant: Any) -> Iterator[str]:
+    yield from (field.alias for field in dependant.query_params)
+    for one in dependant.dependencies:
+        yield from _names_in_the_query(one)
 
 
 class Routes:
@@ -90,7 +106,7 @@ class Routes:
                 description=more.partition("Raises")[0].strip() or None,
                 response_model=answers,
                 status_code=status,
-                dependencies=[*asked_for, Depends(permitted)],
+                dependencies=[*asked_for, Depends(permitted), Depends(_only_known)],
                 responses=described,
                 openapi_extra={"x-use-case": rule.name, "x-right": rule.right and rule.right.value},
             )

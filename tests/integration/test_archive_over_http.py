@@ -68,6 +68,29 @@ def test_files_are_found_page_by_page(web: httpx2.Client) -> None:
     refused(web.get("/data/find", params={"query": "where campaign = nobody"}), 404, "nobody")
 
 
+def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) -> None:
+    refused(
+        web.get("/data/states", params={"where": "load > 3 kN"}),
+        422,
+        "'where' is no parameter of /api/v1/data/states; it takes query",
+    )
+    refused(
+        web.get("/jobs", params={"limit": 0}),
+        422,
+        "'limit': it should be greater than or equal to 1, not '0'",
+    )
+    refused(
+        web.post("/jobs", json={"campain": "plate", "kinds": ["strain"]}), 422, "'campain' is not known here"
+    )
+    refused(web.post("/jobs", json={"kinds": ["strain"]}), 422, "'campaign' is missing")
+    refused(web.post("/jobs", content="{bad"), 422, "application/json")
+    secret = web.post("/session", json={"name": "anna", "password": 12345678901234})
+    assert secret.status_code == 422
+    assert "12345678901234" not in secret.text
+    refused(web.get("/data/nothing/here/at/all"), 404, "there is no address /api/v1/data/nothing/here/at/all")
+    refused(web.delete("/jobs"), 405, "/api/v1/jobs does not take DELETE")
+
+
 def test_a_query_is_kept_asked_and_forgotten(web: httpx2.Client) -> None:
     kept = web.post("/data/queries", json={"name": "all-strain", "text": "strain"})
     assert kept.json()["text"] == "strain"
@@ -214,6 +237,12 @@ def test_displacements_and_sections_come_as_numbers_and_pictures(web: httpx2.Cli
     line = {"x0": -20, "y0": 0, "x1": 20, "y1": 0, "field": "strain"}
     strain = newest(web, "strain")["id"]
     assert web.get(f"/data/{strain}/section", params=line).json()["columns"][0] == "distance_mm"
+    beside = web.get(f"/data/{strain}/section", params=line | {"x0": -9000, "x1": -8000})
+    assert beside.status_code == 422
+    assert (
+        "no pixel with a value lies along the section from -9000,0 to -8000,0; the field lies from"
+        in (beside.json()["error"])
+    )
     drawn = web.get(f"/data/{strain}/section", params=line | {"format": "png"})
     assert drawn.content.startswith(b"\x89PNG")
 

@@ -10,6 +10,7 @@ from support.command import inside
 from sms_jobs.app.work.kinds import KindView, kinds
 from sms_jobs.cli.kind_options import parameter_rows, split_words
 from sms_jobs.errors import InvalidInput
+from sms_jobs.kinds import all_kinds
 
 
 def test_options_among_the_kinds_become_settings() -> None:
@@ -28,11 +29,12 @@ def test_options_among_the_kinds_become_settings() -> None:
         (["reconstruct", "--method", "--returns", "2"], "'--method' needs a value"),
         (["correlate", "strain", "--gauge-length-mm", "3"], "'--gauge_length_mm' is a parameter of one kind"),
         (["--method", "fdr"], "there are 0"),
+        (["strain", "--dryrun"], "no option '--dryrun'; did you mean '--dry-run'"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(words: list[str], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
-        split_words(words)
+        split_words(words, ("--dry-run", "--wait"))
 
 
 @pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.name)
@@ -40,6 +42,26 @@ def test_every_parameter_of_every_kind_says_what_it_means(kind: KindView) -> Non
     for option, _, meaning in parameter_rows(kind):
         assert re.fullmatch(r"--[a-z][a-z0-9-]*", option)
         assert meaning
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"gauge_length_mm": "-3"},
+            "'gauge_length_mm' of strain cannot be '-3': it should be greater than 0$",
+        ),
+        ({"gauge_length_mm": "3cm"}, "cannot be '3cm': it should be a number$"),
+        (
+            {"gauge_length": 3},
+            "strain has no parameter 'gauge_length'; did you mean 'gauge_length_",
+        ),
+        ({"entirely": 3}, "strain has no parameter 'entirely'; its parameters are gauge_length_mm, "),
+    ],
+)
+def test_a_parameter_is_refused_in_words(given: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        all_kinds()["strain"].parameters.checked("strain", given)
 
 
 def test_help_after_a_kind_shows_its_parameters() -> None:

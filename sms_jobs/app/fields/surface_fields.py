@@ -225,7 +225,8 @@ def section(
     NotFound
         There is no such file or record.
     InvalidInput
-        There is no such field, it does not say where its pixels are, or the line is too short or too long.
+        There is no such field, it does not say where its pixels are, or the line is too short, too long, or
+        beside the field.
     """
     from sms_jobs.formats.profiles import named_field
     from sms_jobs.metrology.deformation.strain.gauges import profile_along
@@ -254,6 +255,11 @@ def section(
     if own is None or flat:
         own = _pixels(values.values.shape[-2:])
     profile = profile_along(own, values.values, *ends, step_mm=step, width_mm=width)
+    if not np.any(profile.pixels):
+        raise InvalidInput(
+            f"no pixel with a value lies along the section from {_point_text(start)} to {_point_text(end)}; "
+            f"the field {_extent_text(own, values.values)}: give two points on it"
+        )
     columns = ["distance_mm", "X_mm", "Y_mm", "Z_mm", *values.columns, "pixels"]
     rows = [
         [*map(_plain, (d, *place, *each)), int(count)]
@@ -270,6 +276,15 @@ def section(
 
 def _point_text(place: Place) -> str:
     return f"{place[0]:g},{place[1]:g}"
+
+
+def _extent_text(own: np.ndarray[Any, Any], values: np.ndarray[Any, Any]) -> str:
+    """Say between which points the pixels with values lie."""
+    valid = np.isfinite(values.reshape(-1, *values.shape[-2:])).all(axis=0) & np.isfinite(own[:2]).all(axis=0)
+    if not valid.any():
+        return "has no values"
+    x, y = own[0][valid], own[1][valid]
+    return f"lies from {_point_text((x.min(), y.min()))} to {_point_text((x.max(), y.max()))}"
 
 
 def _pixels(shape: tuple[int, ...]) -> np.ndarray[Any, Any]:

@@ -123,6 +123,12 @@ def frame(services: Acting, job: Name) -> Any:
 
 
 @ROUTES.offer("GET", "/recordings/{job}/frame.png", last_frames.last_picture, media=(PNG,))
-def frame_picture(services: Acting, job: Name) -> Any:
+def frame_picture(
+    services: Acting,
+    job: Name,
+    of: Annotated[
+        Text, Query(description="Any text: a browser fetches the picture again where it differs.")
+    ] = "",
+) -> Any:
     """Return the newest frame as a small picture."""
     return Response(last_frames.last_picture(services, job), media_type=PNG)

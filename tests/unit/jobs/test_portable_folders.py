@@ -407,6 +407,9 @@ def test_the_commands_take_a_campaign_from_home_to_home(full: Home, tmp_path: Pa
     down = json.loads(told_by("tree", first, "--down", "--json", *there))
     assert {one["file"]["source"] for one in down["outputs"]} >= {"reconstruct", "correlate"}
     assert strain in json.dumps(down)
+    assert f"calibration ({down['file']['id']})" in told_by("tree", strain, *there)
+    again = CliRunner().invoke(app, ["data", "unpack", folder, *there])
+    assert "nothing is new: every file of the folder is in the catalogue already" in again.stderr
     document = tmp_path / "strain.prov.json"
     told_by("provenance", strain, "--output", str(document), *there)
     entities = json.loads(document.read_text())["entity"].values()
