@@ -7,8 +7,8 @@ s^2. On a speckle pattern this exceeds the noise several times. The shift is kno
 itself; s^2 follows from the gaps between camera and projector rays, which it opens.
 
 What the pixels do not show of the texture remains: an edge inside a pixel moves its light by up to an
-eighth of a pixel, and by a twelfth in the mean. How much of it there is shows in how far B is from straight
-over three pixels, its roughness, and what a unit of that is worth follows from the gaps as well.
+eighth of a pixel, and by a twelfth in the mean. How much of it there is shows in how much B changes over
+three pixels, its roughness, and what a unit of that is worth follows from the gaps as well.
 """
 
 from __future__ import annotations

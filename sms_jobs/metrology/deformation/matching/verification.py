@@ -347,11 +347,14 @@ def _in_part(
     square = np.stack(
         [_mean_square(a, n, known, told, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]
     )
-    x, y, fine = (np.where(like, one - means(one, sizes.coarse), 0.0) for one in (gx, gy, residual))
+    slow_x, slow_y, slow = (means(one, sizes.coarse) for one in (gx, gy, residual))
+    parts = zip((gx, gy, residual), (slow_x, slow_y, slow), strict=True)
+    x, y, fine = (np.where(like, one - mean, 0.0) for one, mean in parts)
     fine_asked, spread = _asked_for(x, y, fine, noise.pixel * variance, sizes.subset)
     window_maps.raise_where_sure(fine_asked, spread, roughness, known, _ALONE, square)
     white = roughness * noise.white * variance
-    moved = moved_by_slow_changes(residual, (gx, gy), white, like, known, (sizes.subset, sizes.coarse))
+    radii = (sizes.subset, sizes.coarse)
+    moved = moved_by_slow_changes(residual, (gx, gy), (slow_x, slow_y), white, like, known, radii)
     np.maximum(square, moved, out=square)
     squares = np.empty(residual.shape)
     window_maps.mended_squares(residual, asked, (gx, gy), (like, known), _FAR, squares)
