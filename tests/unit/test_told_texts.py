@@ -72,3 +72,18 @@ def test_what_cannot_be_printed_is_not_stored(text: str) -> None:
     with pytest.raises(InvalidInput, match="10001 letters"):
         checked_text("a" * 10_001, "the reason")
     assert checked_text("\u00e4\n\t\U0001f527", "the reason") == "\u00e4\n\t\U0001f527"
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (20_000.0, "20000"),
+        (-12_345.6, "-12346"),
+        (9_876.54, "9877"),
+        (0.000123456, "0.0001235"),
+        (2e8, "2e+08"),
+        (None, "-"),
+    ],
+)
+def test_loads_are_told_as_they_are_given(value: float | None, told: str) -> None:
+    assert output.shown(value) == told
