@@ -38,6 +38,8 @@ PROCESS = "process"
 MANIFEST = "manifest"
 _SCALAR = h5py.h5s.create(h5py.h5s.SCALAR)
 _TEXT = h5py.h5t.py_create(h5py.string_dtype(), logical=True)
+_WITHOUT_TIMES = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+_WITHOUT_TIMES.set_obj_track_times(False)
 _RESERVED = {PROCESS, MANIFEST, "title", "start_time", "definition"}
 
 
@@ -122,7 +124,7 @@ def _text(group: h5py.Group, name: str, text: str) -> None:
     """Write a text of fixed length: viewers show it, and it lies in one place of the file."""
     raw = text.encode() or b"\0"
     kind = h5py.h5t.py_create(h5py.string_dtype("utf-8", len(raw)), logical=True)
-    dataset = h5py.h5d.create(group.id, name.encode(), kind, _SCALAR)
+    dataset = h5py.h5d.create(group.id, name.encode(), kind, _SCALAR, _WITHOUT_TIMES)
     dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, np.array(raw, np.bytes_), kind)
 
 
