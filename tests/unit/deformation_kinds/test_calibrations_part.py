@@ -51,8 +51,7 @@ def test_a_displacement_has_hardly_any_of_what_its_points_have(known_plate: Any)
 
 
 def test_a_gauge_reads_what_strain_about_it_says(known_plate: Any) -> None:
-    # As spread out as a disc of 20 mm: the root of three times its radius.
-    gauge = "along x=5 y=-10 length=17.32 width=17.32"
+    gauge = "along x=5 y=-10 length=20 width=20"
     output = known_plate.run(
         gauges.KIND,
         known_plate.subject("S01", VIEW),
@@ -67,7 +66,7 @@ def test_a_gauge_reads_what_strain_about_it_says(known_plate: Any) -> None:
     )
     away = np.hypot(own[0] - 5.0, own[1] + 10.0)
     near = np.isfinite(strain.sigma_calibration[0]) & (away < 3.0)
-    # The slope over a square, and over a disc of 20 mm, of a part that changes by some per cent meanwhile.
+    # The slope over 20 mm, and over a disc of 20 mm, of a part that changes by some per cent meanwhile.
     expected = np.median(strain.sigma_calibration[0][near])
     assert read.sigma_calibration[0] == pytest.approx(expected, rel=0.05)
     assert np.isnan(read.sigma_calibration[1])
