@@ -51,11 +51,13 @@ def test_a_displacement_has_hardly_any_of_what_its_points_have(known_plate: Any)
 
 
 def test_a_gauge_reads_what_strain_about_it_says(known_plate: Any) -> None:
-    gauge = "along x=5 y=-10 length=20 width=20"
+    # Several places: which pixels a gauge takes in changes what it reads at one by up to a fifth.
+    places = [(5 + dx, dy - 10) for dx in (-2, 0, 2) for dy in (-2, 0, 2)]
+    placed = [f"along{n} x={x} y={y} length=20 width=20" for n, (x, y) in enumerate(places)]
     output = known_plate.run(
         gauges.KIND,
         known_plate.subject("S01", VIEW),
-        GaugesParameters(gauge=(gauge, "away x=500 y=0 length=9")),
+        GaugesParameters(gauge=(*placed, "away x=500 y=0 length=9")),
     )
     read = output.records["gauges"]
     strain = records(known_plate, "strain", "S01")["strain"]
@@ -67,9 +69,9 @@ def test_a_gauge_reads_what_strain_about_it_says(known_plate: Any) -> None:
     away = np.hypot(own[0] - 5.0, own[1] + 10.0)
     near = np.isfinite(strain.sigma_calibration[0]) & (away < 3.0)
     # The slope over 20 mm, and over a disc of 20 mm, of a part that changes by some per cent meanwhile.
-    expected = np.median(strain.sigma_calibration[0][near])
-    assert read.sigma_calibration[0] == pytest.approx(expected, rel=0.05)
-    assert np.isnan(read.sigma_calibration[1])
+    expected = np.mean(strain.sigma_calibration[0][near])
+    assert np.mean(read.sigma_calibration[:-1]) == pytest.approx(expected, rel=0.05)
+    assert np.isnan(read.sigma_calibration[-1])
 
 
 def test_views_that_are_merged_have_their_camera_in_common(known_plate: Any) -> None:
