@@ -12,6 +12,7 @@ import typer
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
 from sms_jobs.cli import output
+from sms_jobs.cli.commands import loading
 from sms_jobs.cli.output import Home
 from sms_jobs.errors import InvalidInput
 
@@ -44,12 +45,13 @@ def serve(
     Example: sms serve; then open http://127.0.0.1:8470
     """
     # Which takes a second; no other command needs it.
-    import uvicorn
+    with loading():
+        import uvicorn
 
-    from sms_jobs.web import memory
-    from sms_jobs.web.application import application
-    from sms_jobs.web.connections import PromptProtocol
-    from sms_jobs.web.protection import Options
+        from sms_jobs.web import memory
+        from sms_jobs.web.application import application
+        from sms_jobs.web.connections import PromptProtocol
+        from sms_jobs.web.protection import Options
 
     address, port = _place(listen)
     local = address in _LOOPBACK
@@ -71,7 +73,8 @@ def serve(
                 "nobody has a name here, so that everybody on the network could do everything; "
                 "'sms person add' gives the first"
             )
-        app = application(services, Options(hosts, secure, desk=local and not behind_proxy))
+        with loading():
+            app = application(services, Options(hosts, secure, desk=local and not behind_proxy))
         scheme = "https" if tls_certificate is not None else "http"
         output.say(f"serving {services.settings.home} at {scheme}://{listen}; Ctrl-C ends it")
         server = uvicorn.Server(

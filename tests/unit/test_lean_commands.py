@@ -192,6 +192,14 @@ def test_the_revisions_that_are_read_off_the_files_are_those_of_the_migrations()
     assert [script.revision for script in scripts.walk_revisions()] == list(reversed(schema.revisions()))
 
 
+def test_a_server_loads_nothing_that_computes_before_somebody_asks_for_it(home: Path) -> None:
+    make_home(home, {})
+    serve = "serve --until-eof --listen 127.0.0.1:0"  # ends at once: nothing is written to it
+    packages = loaded(serve, home=home)[serve]
+    assert packages >= {"fastapi", "uvicorn"}
+    assert packages & (HEAVY - {"fastapi", "h5py"}) == set()
+
+
 def test_a_supervisor_leaves_arrays_and_kernels_to_those_who_compute() -> None:
     say = (
         "import sys, sms_jobs.workers.supervisor\n"

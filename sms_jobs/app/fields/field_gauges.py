@@ -12,9 +12,6 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.gauge_descriptions import described_gauge
-from sms_jobs.kinds.calibration_factors import OF_BOTH, states_from
-from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, read_gauges
 from sms_jobs.kinds.port_names import AT_REST
 from sms_jobs.kinds.products import DISPLACEMENT, REGIONS, SURFACE
 from sms_jobs.records.people import Right
@@ -73,6 +70,11 @@ def gauge_at(services: Services, key: str, gauge: str, *, part: str | None = Non
     ArchiveCorrupt
         A file is not what was sealed.
     """
+    # What computes takes a second to load: the server's start, where nobody has asked for a gauge yet.
+    from sms_jobs.formats.gauge_descriptions import described_gauge
+    from sms_jobs.kinds.calibration_factors import OF_BOTH, states_from
+    from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, read_gauges
+
     described_gauge(gauge)
     parameters = GaugesParameters(gauge=(gauge,))
     with services.catalogue.reading() as session:

@@ -14,7 +14,6 @@ import numpy as np
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.frames import Arrangement, FoundTuple, abridged
 from sms_jobs.formats.importers.inspection import Inspected
-from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.common_view import CommonView, common_view
 from sms_jobs.records.views import Role, View, view_of
@@ -117,6 +116,8 @@ def _reasons(rig: str, number: int, taken: Sequence[_Pair], left: Sequence[_Pair
 
 def _common(calibration: Calibration, first: str, second: str) -> CommonView | None:
     """Return what two cameras see together of the measurement volume; None where one is not calibrated."""
+    from sms_jobs.metrology.calibration.pair_points import box_grid  # loads more than the server needs
+
     cameras = {
         s.name: Camera(s.intrinsics, s.pose, s.columns, s.rows)
         for s in calibration.rig.sensors

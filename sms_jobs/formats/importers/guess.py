@@ -9,7 +9,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from math import degrees
 from pathlib import PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,9 +17,11 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.folders import Listing, NamePattern, natural
 from sms_jobs.formats.importers.frames import is_image
 from sms_jobs.formats.importers.image_files import RawFormat, read_image
-from sms_jobs.metrology.phase.frame_order import FrameOrder, frame_order
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.views import FRINGES_PATTERN
+
+if TYPE_CHECKING:
+    from sms_jobs.metrology.phase.frame_order import FrameOrder
 
 _VIEW = re.compile(FRINGES_PATTERN)
 _MOST_LOOKED_AT = 64
@@ -264,6 +266,8 @@ def _guess_frames(sequence: Mapping[str, Any], seen: FrameOrder | None, remarks:
 
 def _look(listing: Listing, images: list[str], table: Mapping[str, Any]) -> FrameOrder | None:
     """Look at the frames of the first tuple; None where their names do not number them."""
+    from sms_jobs.metrology.phase.frame_order import frame_order  # whose kernels load slowly
+
     pattern = NamePattern.parse(_text(table["pattern"]))
     if "number" not in pattern.names:
         return None

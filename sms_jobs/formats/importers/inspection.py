@@ -1,4 +1,7 @@
-"""The files of a tuple read: whether they fit together, and the measurement that they are."""
+"""The files of a tuple read: whether they fit together, and the measurement that they are.
+
+What finds noise loads kernels, which few of those need who import this: the server, for one.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +20,10 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.importers.frames import FoundTuple, abridged
 from sms_jobs.formats.importers.image_files import ImageFacts, RawFormat, read_image
 from sms_jobs.formats.importers.layout import FrameLayout
-from sms_jobs.metrology.phase.frame_noise import FrameNoise, noise_of_steps
 from sms_jobs.records.measurement import FrameStack, FringeSequence, Measurement
+
+if TYPE_CHECKING:
+    from sms_jobs.metrology.phase.frame_noise import FrameNoise
 
 _NOISE_ROWS = 64
 _NOISE_GROUPS = 8  # sets of phase steps: seven differences of each of some ten thousand pixels are plenty
@@ -125,6 +130,8 @@ def _noise(sample: list[NDArray[Any]], steps: int, full_scale: int | None) -> Fr
 
     Where the full scale is not known the highest level that there is will do: nothing lies above it.
     """
+    from sms_jobs.metrology.phase.frame_noise import noise_of_steps
+
     stack = np.stack(sample).reshape(-1, steps, *sample[0].shape)
     return noise_of_steps(stack, full_scale or int(stack.max()))
 
@@ -271,6 +278,8 @@ def _range(values: Sequence[float]) -> str:
 
 def usual_noise(full_scale: int, remarks: list[str]) -> FrameNoise:
     """Return the noise of a sensor of 10,000 electrons, with half a level besides, and remark on it."""
+    from sms_jobs.metrology.phase.frame_noise import FrameNoise
+
     found = FrameNoise(full_scale / 10_000.0, float(np.hypot(0.5, full_scale / 4096.0)))
     remarks.append(
         f"noise is taken for that of a sensor of 10,000 electrons, gain {found.gain:.3g} and read noise "

@@ -1,10 +1,14 @@
-"""Calibrations of rigs: taken into use, compared, and checked against what was measured with them."""
+"""Calibrations of rigs: taken into use, compared, and checked against what was measured with them.
+
+What computes is imported by the functions that compute: many read a calibration that compare none.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from sqlalchemy.orm import Session
@@ -16,13 +20,8 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.archiving import calibration_choice
 from sms_jobs.jobs.archiving.registration import register_calibration
-from sms_jobs.kinds.calibration.session_adjustment import known_as
 from sms_jobs.kinds.calibration.sessions import CALIBRATE, CALIBRATE_BOARDS, bar_states
 from sms_jobs.kinds.products import CALIBRATED, PHASE, QUALITY, SURFACE, UNCERTAINTY
-from sms_jobs.kinds.shape.phases import sensor_pair
-from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison, compare_calibrations
-from sms_jobs.metrology.calibration.checking.drift import DriftCheck, DriftOptions, check_drift
-from sms_jobs.metrology.calibration.pair_points import Parameters
 from sms_jobs.records.calibration import NOBODY, CalibrationQuality, CalibrationUncertainty, Signed
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import FringeSequence
@@ -32,6 +31,11 @@ from sms_jobs.records.shown.files import FileView
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.metrology.calibration.checking.comparison import CalibrationComparison
+    from sms_jobs.metrology.calibration.checking.drift import DriftCheck
+    from sms_jobs.metrology.calibration.pair_points import Parameters
 
 _HIDDEN_BY_DRIFT = Reason.LARGE_RAY_GAP | Reason.OUT_OF_VOLUME
 """Reasons for which a pixel is refused when a sensor has moved: a drift must not hide itself."""
@@ -169,6 +173,8 @@ def _began(catalogue: Catalogue, campaign: str, calibration: Calibration) -> dat
 
 def deviation_from(rig: Rig, calibration: Calibration) -> dict[str, float]:
     """Return by how much points of each view are off, rms over the volume in mm, if `rig` is the truth."""
+    from sms_jobs.metrology.calibration.checking.comparison import compare_calibrations
+
     found = compare_calibrations(
         {s.name: (s.intrinsics, s.pose) for s in rig.sensors},
         {s.name: (s.intrinsics, s.pose) for s in calibration.rig.sensors},
@@ -221,6 +227,9 @@ def compared(
     old: KnownCalibration, new: KnownCalibration, tolerance_mm: float | None
 ) -> tuple[CalibrationComparison, float]:
     """Return what `compare` does, of calibrations that are at hand."""
+    from sms_jobs.kinds.calibration.session_adjustment import known_as
+    from sms_jobs.metrology.calibration.checking.comparison import compare_calibrations
+
     if tolerance_mm is None:
         tolerance_mm = old.calibration.volume.diagonal_mm / 50_000.0
         if old.quality is not None and np.isfinite(old.quality.expected_sigma).any():
@@ -315,6 +324,9 @@ def drift_of(
     threads: int,
 ) -> DriftCheck:
     """Return what `check` does, of a measurement and a calibration that are at hand."""
+    from sms_jobs.kinds.shape.phases import sensor_pair
+    from sms_jobs.metrology.calibration.checking.drift import DriftOptions, check_drift
+
     names = list(view_of(view).sensors)
     camera, projector = (known.calibration.rig.sensor(n) for n in names)
     refused = (cloud.reason & ~np.uint32(_HIDDEN_BY_DRIFT)) != 0
