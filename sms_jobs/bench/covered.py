@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.kinds.gauge_errors import errors_of_rectangle
-from sms_jobs.kinds.surface_ports import independent_covariance
+from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, read_gauge
@@ -69,11 +69,13 @@ def mean_scores(surface: Surface, truth: Truth) -> Floats:
     """Return the errors of means of shape over squares of pixels, in deviations, (3 n,).
 
     Of squares on one patch in which every pixel is valid. Noise is that of pixels which are independent, less
-    what texture hides, and the calibration's part that of the mean.
+    what texture hides but for pixels at the rim, and the calibration's part that of the mean.
     """
     error = surface.position - truth.shape.xyz
     used = (surface.reason == 0) & np.isfinite(error).all(axis=0)
-    variance = independent_covariance(surface)[[0, 3, 5]]
+    row, column = (at % _MEAN_PX for at in np.indices(used.shape, sparse=True))
+    at_rim = np.isin(row, (0, _MEAN_PX - 1)) | np.isin(column, (0, _MEAN_PX - 1))
+    variance = np.where(at_rim, position_covariance(surface), independent_covariance(surface))[[0, 3, 5]]
     part = np.zeros_like(error) if surface.sigma_calibration is None else surface.sigma_calibration
     region = truth.shape.region.astype(np.float64)
     full = np.isclose(_squares(used.astype(np.float64)), 1.0) & (_squares(region**2) == _squares(region) ** 2)

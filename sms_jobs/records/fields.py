@@ -104,8 +104,8 @@ class Surface:
         Distance over which errors of positions go together, where they come from matches between cameras;
         0 where they are independent from pixel to pixel.
     texture_part
-        What the texture hides within pixels: it counts for each point, and cancels in a mean over several.
-        None is none.
+        What the texture hides within pixels: it counts for each point, and cancels in a mean over several,
+        but for those at its rim. None is none.
     resolution_px
         Period in the image of a wave of shape of which 90 % of the amplitude is left, where positions come
         from matches between cameras; None where each pixel is measured by itself.
