@@ -32,6 +32,9 @@ from sms_jobs.records.subject import Subject
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign
 
+_GLINTS = 0.01
+"""Part of an image that may saturate without a remark."""
+
 
 @dataclass(frozen=True)
 class CameraSettings:
@@ -101,6 +104,21 @@ def make_campaign(services: Services, existing: Campaign | None, definition: Cam
         amend_campaign(services.catalogue, services.archive, existing, definition, now)
 
 
+def _saturated(good: list[Inspected], full_scale: int) -> list[str]:
+    """Return a remark on images of which more saturates than glints do; none where there is no such image."""
+    every = {name: about for one in good for name, about in one.facts.items()}
+    parts = {n: about.at_highest for n, about in every.items() if about.highest >= full_scale}
+    many = {name: part for name, part in parts.items() if part > _GLINTS}
+    if not many:
+        return []
+    worst = max(many, key=many.__getitem__)
+    remark = (
+        f"{len(many)} of {len(every)} images saturate: {many[worst]:.0%} of {worst} is at grey level "
+        f"{full_scale}, where no texture is left to match; expose for less time if they can be recorded again"
+    )
+    return [remark]
+
+
 @dataclass(frozen=True)
 class EntryOptions:
     """How images are entered.
@@ -150,6 +168,8 @@ class EnteredImages:
         given = self.settings
         facts = [about for one in good for about in one.facts.values()]
         full_scale = given.full_scale or full_scale_of(facts, given.raw, remarks)
+        if self.noise_counts:
+            remarks += _saturated(good, full_scale)
         gain, read_noise = given.gain, given.read_noise
         if gain is None or read_noise is None:
             usual = usual_noise(full_scale, remarks if self.noise_counts else [])

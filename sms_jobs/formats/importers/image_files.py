@@ -84,8 +84,8 @@ class ImageFacts:
         In pixels.
     dtype
         uint8 or uint16.
-    highest
-        The highest grey level in it.
+    highest, at_highest
+        The highest grey level in it, and the part of the pixels that have it.
     lowest_bits
         How many of the lowest bits are 0 in every pixel; 16 for a black image.
     remarks
@@ -97,6 +97,7 @@ class ImageFacts:
     columns: int
     dtype: str
     highest: int
+    at_highest: float
     lowest_bits: int
     remarks: tuple[str, ...] = ()
 
@@ -120,13 +121,14 @@ def read_image(path: Path, raw: RawFormat | None = None) -> tuple[NDArray[Any], 
         grey = _raw_levels(path, content, raw)
     else:
         grey, remarks = _decoded(path, content)
-    bits = int(np.bitwise_or.reduce(grey, axis=None))
+    bits, highest = int(np.bitwise_or.reduce(grey, axis=None)), int(grey.max())
     facts = ImageFacts(
         digest,
         grey.shape[0],
         grey.shape[1],
         grey.dtype.name,
-        int(grey.max()),
+        highest,
+        np.count_nonzero(grey == highest) / grey.size,
         16 if not bits else int(log2(bits & -bits)),
         tuple(remarks),
     )

@@ -67,6 +67,17 @@ def test_images_arrive_as_they_are_and_once(home: Path, tmp_path: Path, levels: 
     assert outcomes(images(tmp_path / "test", home, "--add-states"))[-1] == ("12", "C1", "imported")
 
 
+def test_images_that_saturate_are_remarked_on(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    few, many = levels // 2, levels // 2
+    few[1, 0, :3] = 255  # 3 of 320 px: glints
+    many[1, 0, :3], many[2, :4] = 255, 255
+    save(tmp_path / "few", few, "s{}.png")
+    assert not [said for said in images(tmp_path / "few", home, "--dry-run")["remarks"] if "saturate" in said]
+    save(tmp_path / "many", many, "s{}.png")
+    (said,) = (one for one in images(tmp_path / "many", home, "--dry-run")["remarks"] if "saturate" in one)
+    assert "1 of 4 images saturate: 25% of s2.png is at grey level 255" in said
+
+
 def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
     for camera in ("C1", "C2"):
         save(tmp_path / "test" / camera, levels, "s{}.png")
