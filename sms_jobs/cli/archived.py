@@ -92,6 +92,7 @@ def show(file: StoredFile, home: Home = None, as_json: Json = False) -> None:
             "size": size(view.size_bytes),
             "recorded": view.recorded_at,
             "created": view.created_at,
+            "sha256": view.sha256 or "not known",
             "content": f"sha256 {view.content_hash}",
             "job": view.job_id,
         }

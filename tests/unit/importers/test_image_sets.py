@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.command import inside
 from support.homes import initialised
 from typer.testing import CliRunner
 
@@ -65,6 +67,16 @@ def test_images_arrive_as_they_are_and_once(home: Path, tmp_path: Path, levels: 
     with pytest.raises(InvalidInput, match="no state 12: set `add_states`"):
         images(tmp_path / "test", home)
     assert outcomes(images(tmp_path / "test", home, "--add-states"))[-1] == ("12", "C1", "imported")
+
+
+def test_a_file_is_shown_with_the_digest_that_others_find(
+    home: Path, tmp_path: Path, levels: np.ndarray
+) -> None:
+    save(tmp_path / "test", levels, "load_{}.tif")
+    images(tmp_path / "test", home)
+    shown = inside("data", "show", "1", "--home", str(home)).stdout
+    facts = dict(line.split(None, 1) for line in shown.splitlines() if len(line.split(None, 1)) == 2)
+    assert facts["sha256"] == hashlib.sha256(Path(facts["path"]).read_bytes()).hexdigest()
 
 
 def test_images_that_saturate_are_remarked_on(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
