@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _RADII_PX = (7, 10, 13, 16, 20, 26, 32)
 _LIKE_NOISE = 0.3
 """How alike neighbours may differ between two images of one state; of noise over 1000 px it is 0 to 0.1."""
+_LOOKED_AT = 5
+"""Places each way at which it is asked whether the texture repeats itself."""
 GAUGES_PX = (30.0, 60.0, 90.0, 120.0)
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
@@ -172,7 +174,7 @@ def advise(image: Image, again: Image | None = None, noise: float | None = None)
         )
         for radius in _RADII_PX
     )
-    remarks = _remarks(found, image.full_scale, sigma)
+    remarks = [*_remarks(found, image.full_scale, sigma), *_repeats(_middle(texture))]
     if again is not None and sigma is None:
         remarks.append(f"{again.name} is the same image pixel for pixel: record the state a second time")
     if alike > _LIKE_NOISE:
@@ -214,6 +216,27 @@ def _remarks(found: Texture, full_scale: float, noise: float | None) -> list[str
     if noise is None:
         said.append("the noise is not known, so neither are standard deviations")
     return said
+
+
+def _repeats(image: NDArray[np.generic]) -> list[str]:
+    """Return a remark on a texture that is found again within the range in which jobs search."""
+    from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, repeats_itself
+
+    search = SearchSettings()
+    margin = search.template_radius
+    if min(image.shape) <= 2 * margin:
+        return []
+    rows, columns = (np.linspace(margin, n - 1 - margin, _LOOKED_AT).astype(int) for n in image.shape)
+    y, x = (place.ravel() for place in np.meshgrid(rows, columns, indexing="ij"))
+    again = repeats_itself(image, np.ones(image.shape, dtype=np.int32), x, y, search)
+    if not again.any():
+        return []
+    remark = (
+        f"the texture repeats itself within {search.range_x} px, the range that is searched, at "
+        f"{np.count_nonzero(again)} of {len(x)} places, where no match would be certain: print speckle at "
+        "random or, if the specimen moves by less than half a period, set search_range_x_px and _y_px to less"
+    )
+    return [remark]
 
 
 def outline(mask: Path, above: float | None = None, least_px: int = 0) -> str:

@@ -118,6 +118,15 @@ def test_an_image_tells_no_noise_with_itself(pair: tuple[np.ndarray, np.ndarray]
     assert any("a again is the same image" in remark for remark in found.remarks)
 
 
+def test_a_texture_that_repeats_itself_is_remarked_on(pair: tuple[np.ndarray, np.ndarray]) -> None:
+    y, x = np.mgrid[:SIZE, :SIZE]
+    weave = 2000.0 + 800.0 * np.cos(2.0 * np.pi * x / 12.0) * np.cos(2.0 * np.pi * y / 12.0)
+    weave += np.random.default_rng(6).normal(0.0, NOISE, weave.shape)
+    (said,) = (one for one in advise(image_of("a", weave)).remarks if "repeats" in one)
+    assert "at 25 of 25 places" in said
+    assert not any("repeats" in one for one in advise(image_of("a", pair[0])).remarks)
+
+
 def test_black_and_blank_images_get_words_and_no_radius() -> None:
     black = image_of("black", np.zeros((SIZE, SIZE)))
     grey = image_of("grey", np.random.default_rng(5).normal(70.0, 2.0, (SIZE, SIZE)))
