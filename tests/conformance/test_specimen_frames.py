@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import subprocess
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from support.archives import Clock, rebuilt, registered, run_jobs, work_again
+from support.archives import PLAN, Clock, rebuilt, registered, run_jobs, work_again
 from support.command import inside
 from support.deployments import Deployment
 
@@ -18,10 +19,12 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns, subject_files
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.errors import NotFound
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.asking import campaign_matrix
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.subject import Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 KINDS = ("simulate", "reconstruct", "correlate", "strain", "merge")
 STRAINED = Subject("plate", "S01", "C1P1")
@@ -169,6 +172,17 @@ def test_what_tells_no_frame_is_refused(deployment: Deployment, catalogue: Catal
     ):
         assert told in frame(deployment, *words, code=2).stderr
     assert defined(catalogue) == before
+
+
+def test_a_camera_alone_has_no_shape_to_find_a_frame_on(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    calibration, campaign = small_plate("plate")
+    register_campaign(catalogue, archive, replace(campaign, views=("C1",)), calibration, clock(), PLAN)
+    told = frame(deployment, *POINTS, code=2).stderr
+    assert (
+        "campaign plate has no shape on which a frame could be found: by C1 it measures in the plane" in told
+    )
 
 
 def test_a_campaign_without_a_surface_says_what_is_missing(

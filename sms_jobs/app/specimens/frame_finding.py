@@ -27,6 +27,7 @@ from sms_jobs.metrology.geometry.specimen_frame import (
     plane_factor,
     tiles_of,
 )
+from sms_jobs.metrology.geometry.transforms import unpack
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.targets.marks import mark_at
 from sms_jobs.records.fields import Surface
@@ -57,8 +58,11 @@ class Finder:
         picked = [self._place(one) for one in (self.choice.origin, self.choice.x, self.choice.plane) if one]
         plane = self._plane() if self.choice.region else None
         places = [place.place for place, _ in picked]
-        if plane is not None and self.choice.origin is None:
-            places.insert(0, plane.middle)
+        if plane is None:
+            # On a line of the image the bend of the surface would say where its plane is.
+            frame_through(*(np.array([*pixel, 0.0]) for _, pixel in picked))
+        elif self.choice.origin is None:
+            places.insert(0, self._middle()[0])
         make, values = _construction(places, picked[0][0].outward(), plane)
         length = float(np.linalg.norm(places[1] - places[0]))
         placement = make(values)
@@ -69,6 +73,8 @@ class Finder:
             covariance[3 * number : 3 * number + 3, 3 * number : 3 * number + 3] = place.covariance
         if plane is not None:
             covariance[-3:, -3:] = plane.covariance
+            if first:
+                covariance[:3, :3] = self._middle()[1]
         return SpecimenFrame(
             "points" if plane is None else "plane",
             placement,
@@ -126,6 +132,18 @@ class Finder:
         outward = self._place(self.choice.x)[0].outward()
         tiles = tiles_of(rows, columns) if len(rows) else np.zeros(0, np.int64)
         return fit_plane(np.ascontiguousarray(self.surface.position[:, rows, columns].T), tiles, outward)
+
+    def _middle(self) -> tuple[Floats, Floats]:
+        """Return the mean of the region's points, (3,), and its covariance from their noise, (3, 3).
+
+        Of all points, those off the plane, too: which are left out is chance, and would move it by far more.
+        """
+        rows, columns = self._region()
+        noise = unpack(np.asarray(position_covariance(self.surface)[:, rows, columns], dtype=np.float64))
+        # Points that share a subset share its errors, which no mean of them makes less.
+        alike = (2 * self.surface.subset_radius_px + 1) ** 2
+        covariance = noise.mean(axis=0) * min(alike / len(rows), 1.0)
+        return self.surface.position[:, rows, columns].mean(axis=1), covariance
 
     def _from_calibration(
         self, by_values: Floats, places: list[Floats], plane: FittedPlane | None

@@ -125,12 +125,17 @@ def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> Speci
     from sms_jobs.kinds.calibration_factors import known_view
     from sms_jobs.kinds.products import CALIBRATION_FACTOR, SURFACE
 
-    view = choice.view or next(iter(campaign.shape_views), "")
-    if view not in campaign.shape_views:
-        known = ", ".join(campaign.shape_views) or "no view"
+    if not campaign.shape_views:
         raise InvalidInput(
-            f"a frame is found on a measured shape, which campaign {campaign.name} has by {known}, not by "
-            f"{view or 'any other'}; choose a view that measures shape"
+            f"campaign {campaign.name} has no shape on which a frame could be found: by "
+            f"{', '.join(campaign.views)} it measures in the plane of the image, along whose axes its "
+            "results lie"
+        )
+    view = choice.view or campaign.shape_views[0]
+    if view not in campaign.shape_views:
+        raise InvalidInput(
+            f"a frame is found on a measured shape, which campaign {campaign.name} has by "
+            f"{', '.join(campaign.shape_views)}, not by {view}; choose a view that measures shape"
         )
     about = Subject(campaign.name, campaign.reference.label, view)
     found = reading.newest_file(services, str(about), SURFACE.name).file

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sms_jobs.app.specimens.frame_choice import Choice
+from sms_jobs.app.specimens.frame_finding import Finder
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.specimen_frame import (
@@ -17,6 +19,7 @@ from sms_jobs.metrology.geometry.specimen_frame import (
     tiles_of,
 )
 from sms_jobs.metrology.geometry.transforms import rotation_matrix, rotation_vector, transform
+from sms_jobs.records.fields import Surface
 
 ROUNDING = 1e-12  # some roundings of numbers near 1, times lengths of 100 mm where positions are compared
 TURNED = Pose.from_arrays(rotation_matrix(np.array([0.2, -0.3, 0.4])), np.array([30.0, -20.0, 500.0]))
@@ -144,6 +147,41 @@ def test_a_plane_is_that_of_its_region_and_knows_how_flat_it_is(rng: np.random.G
         fit_plane(points[:99], tiles[:99], outward)
     with pytest.raises(InvalidInput, match="is a line"):
         fit_plane(np.outer(np.arange(200.0), [1.0, 0.0, 0.0]), np.zeros(200, np.int64), outward)
+
+
+def test_the_middle_of_a_region_is_as_well_known_as_the_mean_of_its_points(rng: np.random.Generator) -> None:
+    choice = Choice(x=(40.0, 30.0), region="rectangle 10 10 49 49", view="C1P1")
+    off, stated = [], []
+    for _ in range(200):
+        position, covariance = surface(rng, 0.02)
+        seen = Surface("C1P1", "mm", position, np.zeros((60, 60), np.uint32), covariance.astype(np.float32))
+        found = Finder(seen, None, None, choice).frame("")
+        place = corners((PITCH_MM * 29.5, -PITCH_MM * 29.5, 0.0))[0]
+        off.append(found.placement.matrix().T @ (np.array(found.placement.translation) - place))
+        assert found.deviation is not None
+        stated.append(found.deviation.origin_mm)
+    # The scatter of 200 is known to 5 %; four of those. The height is a jackknife's, compared above.
+    scatter = np.sqrt(np.mean(np.square(off), axis=0))[:2]
+    np.testing.assert_allclose(scatter / np.mean(stated, axis=0)[:2], 1.0, atol=0.2)
+    assert scatter[0] == pytest.approx(0.02 / 40.0, rel=0.2)
+
+
+def test_pixels_of_one_line_tell_no_frame_of_a_surface_that_bends(rng: np.random.Generator) -> None:
+    position, covariance = surface(rng, 0.0)
+    column = np.arange(60.0)
+    bend = -((column - 30.0) ** 2) / 100.0
+    position = position + TURNED.matrix()[:, 2][:, None, None] * bend
+    seen = Surface(
+        "C1P1", "mm", position, np.zeros((60, 60), np.uint32), covariance.astype(np.float32) + 1e-4
+    )
+    for aside, told in ((30.0, True), (45.0, False)):
+        choice = Choice(x=(50.0, 30.0), origin=(10.0, 30.0), plane=(30.0, aside), view="C1P1")
+        finder = Finder(seen, None, None, choice)
+        if told:
+            with pytest.raises(InvalidInput, match="nearly on one line"):
+                finder.frame("")
+        else:
+            assert finder.frame("").placement.matrix()[:, 2] @ TURNED.matrix()[:, 2] > 0.5
 
 
 def test_a_plane_moves_with_its_points(rng: np.random.Generator) -> None:
