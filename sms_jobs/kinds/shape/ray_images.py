@@ -25,7 +25,7 @@ _LINE_SIGMAS = 6.0
 """How far off the image of a ray to look, in standard deviations that the calibration states."""
 _LINE_PX = 3.0
 """The same where it states none."""
-_EXCHANGED = 5.0
+_SWAPPED = 5.0
 """How much better cameras the other way round have to explain the matches to be believed."""
 
 
@@ -61,8 +61,11 @@ def lines_summary(statistics: Mapping[str, float]) -> str:
     return told
 
 
-def why_nothing(view: View, off_px: float) -> str:
-    """Return in words why textures do not match along the rays."""
+def why_nothing(view: View, off_px: float, swapped: tuple[str, float] = ("", np.inf)) -> str:
+    """Return in words why textures do not match along the rays.
+
+    `swapped` is a partner, and how far off they are with its place and that of the reference swapped.
+    """
     cameras = " and ".join(view.sensors)
     if not np.isfinite(off_px):
         return (
@@ -70,9 +73,16 @@ def why_nothing(view: View, off_px: float) -> str:
             "or are too weak; look at both images, examine them by 'sms data advise', and compare the volume "
             "of the calibration with where the specimen stood"
         )
-    return (
+    told = (
         f"the textures of {cameras} match, but {off_px:.2g} px (median) beside the images of their rays: the "
         "calibration is not that of these images; the cameras may be swapped, or have moved since"
+    )
+    partner, other_px = swapped
+    if not off_px > max(_SWAPPED * other_px, 0.1):
+        return told
+    return (
+        f"{told}. With {view.camera} and {partner} swapped it is {other_px:.2g} px: import the images or the "
+        "calibration again with the cameras in the other order"
     )
 
 
@@ -85,13 +95,9 @@ def refuse_far_from_rays(
     those of the cameras the other way round.
     """
     middle = _distance_from_rays(cameras, found, threads)
-    exchanged = _distance_from_rays([cameras[1], cameras[0], *cameras[2:]], found, threads)
-    if middle > max(_EXCHANGED * exchanged, 0.1):
-        raise MeasurementFailed(
-            f"{why_nothing(view, middle)}. With {view.camera} and "
-            f"{view.other_cameras[0]} exchanged it is {exchanged:.2g} px: import the images or the "
-            "calibration again with the cameras in the other order"
-        )
+    swapped = _distance_from_rays([cameras[1], cameras[0], *cameras[2:]], found, threads)
+    if middle > max(_SWAPPED * swapped, 0.1):
+        raise MeasurementFailed(why_nothing(view, middle, (view.other_cameras[0], swapped)))
     if middle > most_px:
         raise MeasurementFailed(f"{why_nothing(view, middle)}; maximum_epipolar_px allows {most_px:g}")
     return 1.4826 * middle

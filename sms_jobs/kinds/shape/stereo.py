@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -127,7 +128,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         search = RaySearch(volume, line_width(factor, number + 1, parameters.epipolar_width_px))
         noise, blur = (reference.noise, partner.noise), blur_of(parameters.smoothing_px)
         images = prepare_images(reference.texture, partner.texture, labels, noise, blur=blur)
-        found.append(_matched(inputs, reference, partner, images, nodes, parameters, search))
+        found.append(_matched(inputs, name, reference, partner, images, nodes, parameters, search))
         spread.append(places_of_pixels(images, found[-1], parameters, inputs.threads))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
     epipolar = refuse_far_from_rays(
@@ -207,6 +208,7 @@ def _specimen(reference: TexturedCamera, parameters: StereoParameters) -> NDArra
 
 def _matched(
     inputs: Inputs,
+    name: str,
     reference: TexturedCamera,
     partner: TexturedCamera,
     images: PreparedImages,
@@ -237,10 +239,11 @@ def _matched(
     if not len(nodes.x):
         raise MeasurementFailed(f"the image of {inputs.subject.recordings[0]} shows no texture to be matched")
     if not (found.matches.ending == CONVERGED).any():
-        off = distance_from_rays(
-            reference, partner, images.labels, nodes, search.volume, threads=inputs.threads
-        )
-        raise MeasurementFailed(why_nothing(inputs.view, off))
+        seen = partial(distance_from_rays, labels=images.labels, nodes=nodes, volume=search.volume)
+        off = seen(reference, partner, threads=inputs.threads)
+        other = replace(reference, camera=partner.camera), replace(partner, camera=reference.camera)
+        swapped = name, seen(*other, threads=inputs.threads)
+        raise MeasurementFailed(why_nothing(inputs.view, off, swapped))
     return found
 
 

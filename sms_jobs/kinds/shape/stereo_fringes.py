@@ -193,11 +193,11 @@ def _refuse_far_from_rays(inputs: Inputs, fringes: SharedFringes, met: MetFringe
         )
     middle = _middle(met.gap_px[seen])
     if middle > _CLOSE_PX:
-        exchanged = _middle(fringes.gaps_exchanged_px(met.place)[seen])
-        if _EXCHANGED * exchanged < middle:
+        swapped = _middle(fringes.gaps_exchanged_px(met.place)[seen])
+        if _EXCHANGED * swapped < middle:
             raise MeasurementFailed(
                 f"the fringes that {names} see lie {_px(middle)} beside the images of their rays, and "
-                f"{_px(exchanged)} with the two exchanged: import the frames or the calibration again with "
+                f"{_px(swapped)} with the two swapped: import the frames or the calibration again with "
                 "the cameras in the other order"
             )
     if middle > most_px:

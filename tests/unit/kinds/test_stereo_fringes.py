@@ -238,11 +238,9 @@ def turned(about: Recorded, names: tuple[str, str], by_px: float = 0.0) -> Calib
     return replace(about.calibration, rig=replace(about.calibration.rig, sensors=tuple(sensors)))
 
 
-def test_exchanged_cameras_and_another_calibration_are_refused() -> None:
+def test_swapped_cameras_and_another_calibration_are_refused() -> None:
     about = recorded("curved")
-    with pytest.raises(
-        MeasurementFailed, match="with the two exchanged: import the frames or the calibration"
-    ):
+    with pytest.raises(MeasurementFailed, match="with the two swapped: import the frames or the calibration"):
         output_of(about, turned(about, ("C2", "C1")))
     with pytest.raises(MeasurementFailed, match=r"3 px \(median\) beside the images of their rays"):
         output_of(about, turned(about, ("C1", "C2"), 3.0))
