@@ -98,9 +98,15 @@ def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path)
             "job", "submit", "plane", "correlate", "strain", "-c", "grid", "--wait", "--home", str(home)
         )
         (correlate,) = [job for job in run(home, "job", "list") if job["kind"] == "correlate"]
+        written = run(home, "job", "submit", "merge", "export", "-c", "grid")["jobs"]
+        assert run(home, "job", "wait", *written)["jobs"]["succeeded"] == 2
+        (export,) = [job for job in run(home, "job", "list") if job["kind"] == "export"]
     # The strain that is made of it is as empty, and its own result knows no reason.
     assert "2 ended with nothing valid" in done.stderr
     assert "correlate grid/1/C1: nothing valid: of the points are lost" in done.stderr
     assert "by ambiguous texture" in done.stderr
     why = run(home, "job", "explain", correlate["id"])["explanation"]
     assert any("by ambiguous texture" in sentence for sentence in why)
+    # Nor has it anything for other programs, which is no failure.
+    assert "; nothing to export of grid-1-C1, where no square of pixels has values" in export["message"]
+    assert run(home, "data", "find", "--kind", "export") == []

@@ -124,11 +124,12 @@ def run_on_results(
     subject: Subject,
     size: tuple[int, int] = (45, 60),
     instead: Any = None,
+    heard: list[str] | None = None,
     **given: Any,
 ) -> list[tuple[DocumentOutput, Path]]:
     """Run a kind on files of an archive in a folder; what it writes lands beside it.
 
-    `instead` are records that take the place of those of their name.
+    `instead` are records that take the place of those of their name; `heard` gets the words of its progress.
     """
     archive = Archive(FolderStore(folder / "archive"))
     with ExitStack() as stack:
@@ -155,7 +156,13 @@ def run_on_results(
         inputs = Inputs(subject, kind.context(campaign, subject), datasets)
         told: list[float] = []
         documents = []
-        outputs = kind.run(inputs, parameters, lambda part, _="": told.append(part))
+
+        def progress(part: float, words: str = "") -> None:
+            told.append(part)
+            if heard is not None:
+                heard.append(words)
+
+        outputs = kind.run(inputs, parameters, progress)
         for output in map(kind.checked, outputs):
             path = folder / output.filename
             output.write(path)

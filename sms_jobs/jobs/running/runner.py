@@ -98,6 +98,7 @@ class Runner:
     now: Callable[[], datetime]
     least_room_mb: float
     _definitions: Definitions = field(default_factory=Definitions, init=False, repr=False)
+    _said: list[str] = field(default_factory=list, init=False, repr=False)  # the last words of a progress
 
     @property
     def _repository(self) -> Repository:
@@ -198,6 +199,7 @@ class Runner:
             self._clear_leftovers(held)
         started = time.monotonic()
         sealed: list[Entry] = []
+        self._said.clear()
         try:
             sealed.extend(self._sealed_outputs(kind, held, task))
             if kind.adds_states:
@@ -206,6 +208,8 @@ class Runner:
             self._discard(held, kind, sealed)
             raise
         took = f"took {time.monotonic() - started:.1f} s{because}"
+        if not sealed:
+            took = "; ".join([took, *self._said])
         return self._succeed(held, kind, sealed, begun.key, took)
 
     def _add_states(self, held: Claim, sealed: Sequence[Entry]) -> None:
@@ -429,6 +433,7 @@ class _ThrottledProgress:
         self._next = 0.0
 
     def __call__(self, fraction: float, message: str = "") -> None:
+        self._runner._said[:] = [message] if message else []
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + _PROGRESS_EVERY_S

@@ -91,11 +91,15 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
     progress(0.0, "reading")
     name = inputs.subject.in_filename
     textures = {camera: _texture(inputs, view) for camera, view in inputs.context.items()}
-    found = inputs.each(_MERGED, MESH)
+    found, empty = inputs.each(_MERGED, MESH), list[str]()
     for number, product in enumerate(found):
         mesh = _with_texture(inputs.read(_MERGED, product), textures)
         # The world is one; of planes each is a world of its own.
         stem = f"{name}-{product.key}" if product.key else name
+        if not len(mesh.faces):
+            # That nothing is valid is a result, too, which the jobs before have told.
+            empty.append(stem)
+            continue
         progress((number + 1) / (len(found) + 1), f"writing {stem}")
         for format_name in parameters.formats or (USUAL if mesh.has_depth else USUAL_FLAT):
             exporter = exporter_named(format_name)
@@ -106,6 +110,8 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
                 field = inputs.read(_MERGED, MERGED.of(camera))
                 seen = source_for(exporter, field, texture=textures[camera])
                 yield _written(inputs, exporter, f"{name}-{camera}", seen)
+    if empty:
+        progress(1.0, f"nothing to export of {' and '.join(empty)}, where no square of pixels has values")
 
 
 def _written(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> DocumentOutput:

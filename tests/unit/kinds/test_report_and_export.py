@@ -6,6 +6,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
@@ -228,6 +229,15 @@ def test_export_writes_a_file_for_each_camera_where_points_are_over_an_image(run
     ]
     head = documents[0][1].read_text().splitlines()[:2]
     assert head == ["60", "45"]
+
+
+def test_export_of_what_has_no_value_writes_nothing_and_says_so(run: Run) -> None:
+    seen = mesh()
+    nothing = replace(seen, faces=seen.faces[:0])
+    heard: list[str] = []
+    given = {"instead": {"mesh": nothing}, "heard": heard}
+    assert run(export.KIND, campaign(), Subject("plate", "S01"), **given) == []
+    assert heard[-1] == "nothing to export of plate-S01, where no square of pixels has values"
 
 
 def test_export_writes_the_fields_that_are_asked_for(run: Run) -> None:
