@@ -285,6 +285,9 @@ MISTAKEN = [
     ("view = 5 mm", "'view' has no unit that is known"),
     ("load in (1 N, 2 kN)", "the values of 'load' have several units"),
     ("lod > 50 kN", "nothing is called 'lod'; did you mean 'load_n'"),
+    ("valid_fractoin > 0", "did you mean 'valid_fraction'( or '[a-z_.]+'){,2}; docs/query.md has"),
+    ("qqq > 0", "nothing is called 'qqq'; docs/query.md has the names, and 'sms data show FILE' those"),
+    ("param.qqq > 0", "'param.qqq'.*; there are param.gauge_length_mm, param.method, at"),
 ]
 """What cannot be asked, and words of the answer."""
 

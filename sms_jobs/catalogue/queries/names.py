@@ -15,7 +15,14 @@ from sms_jobs.catalogue.queries.quantities import UNITS, in_other_units, size_in
 Type: TypeAlias = Literal["number", "text", "time", "prefix", "campaign", "calibration", "parameter"]
 
 _LONG = {"max": "maximum", "min": "minimum", "med": "median", "avg": "mean"}
-_LISTED = 40
+_LISTED = 12
+"""So many names are listed where one is unknown; of more the nearest."""
+_NEAREST = 3
+_MORE = {
+    "": "docs/query.md has the names, and 'sms data show FILE' those of what a result knows",
+    "param": "'sms job kinds' has them",
+    "statistic": "'sms data show FILE' has those of a result",
+}
 
 
 @dataclass(frozen=True)
@@ -135,10 +142,12 @@ class Resolver:
             refuse(text, name.at, f"'{name.text}' may mean {listed(found)}; write which")
         space, dot, _ = name.text.partition(".")
         names = self._names(space.lower() if dot else "")
-        near = get_close_matches(name.text.lower(), [k.lower() for k in names], n=1, cutoff=0.5)
-        hint = next((f"; did you mean '{k}'" for k in names if [k.lower()] == near), "")
-        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-        there = f"there are {listed(names[:_LISTED])}{more}" if names else "there are none of that sort yet"
+        near = get_close_matches(name.text.lower(), [k.lower() for k in names], n=_NEAREST, cutoff=0.5)
+        alike = [f"'{next(k for k in names if k.lower() == one)}'" for one in near]
+        hint = f"; did you mean {' or '.join(alike)}" if alike else ""
+        there = f"there are {listed(names)}" if names else "there are none of that sort yet"
+        if len(names) > _LISTED:
+            there = _MORE.get(space.lower() if dot else "", _MORE[""])
         refuse(text, name.at, f"nothing is called '{name.text}'{hint}; {there}")
 
 
