@@ -106,6 +106,15 @@ def test_what_is_missing_is_named() -> None:
         plan(CAMPAIGN, [Request("reconstruct")], only_calibration)
 
 
+def test_a_missing_calibration_names_its_rig() -> None:
+    def uncalibrated(need: Need) -> Existing | None:
+        return None if need.source == CALIBRATION else Existing(file_id=1)
+
+    told = f"reconstruct hat/S00/C1P1 needs a calibration of rig {CAMPAIGN.rig} that is valid"
+    with pytest.raises(NotFound, match=f"{told}.* 'sms calibration import FILE --rig {CAMPAIGN.rig}'"):
+        plan(CAMPAIGN, [Request("reconstruct")], uncalibrated)
+
+
 def without(*lacking: str) -> Callable[[Need], Existing | None]:
     """Return a search that finds everything but the measurements of some tuples."""
 

@@ -224,7 +224,7 @@ def _connected(
             producer = None if maker is None else (maker.name, covering(maker, need.subject))
             if producer is not None and producer[0] in once and producer not in asked:
                 producer = None
-            existing = None if producer is not None else _existing(need, find, f"{name} {subject}")
+            existing = None if producer is not None else _existing(campaign, need, find, f"{name} {subject}")
             node.inputs.append((need, producer, existing))
 
     while pending:
@@ -355,9 +355,15 @@ def _selected(requested: _Requested) -> list[Subject]:
     ]
 
 
-def _existing(need: Need, find: Callable[[Need], Existing | None], who: str) -> Existing:
+def _existing(campaign: Campaign, need: Need, find: Callable[[Need], Existing | None], who: str) -> Existing:
     existing = find(need)
     if existing is None:
+        if need.source == CALIBRATION:
+            raise NotFound(
+                f"{who} needs a calibration of rig {campaign.rig} that is valid when it was measured, and "
+                f"there is none; bring one in with 'sms calibration import FILE --rig {campaign.rig}', or "
+                "certify one that was measured"
+            )
         raise NotFound(f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(need)}")
     return existing
 
@@ -365,8 +371,6 @@ def _existing(need: Need, find: Callable[[Need], Existing | None], who: str) -> 
 def _way_to(need: Need) -> str:
     if need.source == REFERENCE_SURFACES:
         return f"bring one in with 'sms import surface FILE -c {need.subject.campaign}'"
-    if need.source == CALIBRATION:
-        return "bring one in with 'sms calibration import', or certify one that was measured"
     if need.source == MEASUREMENT:
         return "record or simulate it, or bring it in with 'sms import'"
     return "submit the pipeline, or the job that makes it first"
