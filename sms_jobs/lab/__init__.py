@@ -19,7 +19,7 @@ from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
 from sms_jobs.app.specimens.specimen_frames import FrameOf
 from sms_jobs.app.work.jobs import Submitted, Work
 from sms_jobs.app.work.waiting import Waited
-from sms_jobs.errors import ConfigurationError
+from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.lab.datasets import MISSING, dataset_of
 from sms_jobs.lab.recording_plans import RecordingPlans
 from sms_jobs.lab.source import Home, Source
@@ -313,6 +313,12 @@ class Lab:
         Conflict
             The run is kept as it is.
         """
+        for name, one in {"kind": kind, "campaign": campaign}.items():
+            if not isinstance(one, str):
+                raise InvalidInput(f"the {name} is one name, not {one!r}: submit one after the other")
+        for name, several in {"states": states, "views": views}.items():
+            if isinstance(several, str):
+                raise InvalidInput(f"`{name}` are a list of names: give ['{several}'], not '{several}'")
         work = Work(campaign, (kind,), parameters, tuple(states), tuple(views), run=run)
         return self._source.submit(work, dry_run)
 

@@ -189,6 +189,12 @@ def test_what_is_not_there_is_said(lab: Lab, subject: str | int, what: str | Non
 def test_a_job_that_does_not_succeed_is_an_error(lab: Lab, folder: Path) -> None:
     with pytest.raises(InvalidInput, match="gauge"):
         lab.submit("strain", CAMPAIGN, dry_run=True, gauge_length_mm=-1.0)
+    for kind, several, told in (
+        (["strain", "merge"], (), "the kind is one name, not .'strain', 'merge'."),
+        ("strain", "S01", r"`states` are a list of names: give \['S01'\], not 'S01'"),
+    ):
+        with pytest.raises(InvalidInput, match=told):
+            lab.submit(kind, CAMPAIGN, states=several, dry_run=True)  # type: ignore[arg-type]
     done = lab.submit("strain", CAMPAIGN, gauge_length_mm=25.0)
     with pytest.raises(WaitTimedOut, match="1 of 1 jobs"):
         lab.wait(done, timeout_s=0.0)
