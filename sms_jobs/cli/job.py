@@ -133,7 +133,7 @@ def submit(
             if done.counted:
                 output.say(estimate_text(done.estimate, datetime.now(UTC)))
         _tell_refused(done.refused)
-        if wait:
+        if wait and (done.counted or as_json):
             with followed() as tell:
                 waited = wait_for(services, done.jobs, tell=tell)
             _tell_waited(waited, as_json)

@@ -34,6 +34,11 @@ class Parameters(BaseModel):
                 raise InvalidInput(
                     f"{kind} has no parameter '{name}'; {meant}its parameters are {names}"
                 ) from error
+            if first["type"] == "missing":
+                what = cls.model_fields[name].description if name in cls.model_fields else None
+                raise InvalidInput(
+                    f"{kind} needs the parameter '{name}'{f': {what}' if what else ''}"
+                ) from error
             raise InvalidInput(
                 f"parameter '{name}' of {kind} cannot be {first.get('input')!r}: {why}"
             ) from error

@@ -84,6 +84,23 @@ def test_a_job_that_finds_nothing_says_so(plate: Path) -> None:
     assert any(sentence.startswith("nothing valid") for sentence in why)
 
 
+def test_what_is_not_there_to_be_done_or_shown_is_said_once(plate: Path) -> None:
+    nothing = inside(
+        "job", "submit", "relative", "-c", "plate", "--state", "S00", "--wait", "--home", str(plate)
+    )
+    assert nothing.returncode == 2
+    assert "relative needs the parameter 'region': of the reference image" in nothing.stderr
+    region = ("--region", "rectangle 30 30 60 60")
+    nothing = inside(
+        *("job", "submit", "relative", "-c", "plate", "--state", "S00", *region, "--wait"),
+        *("--home", str(plate)),
+    )
+    assert (nothing.returncode, nothing.stderr) == (0, "there is nothing to do\n")
+    missing = inside("data", "gauges", "-c", "plate", "--view", "C2P1", "--home", str(plate))
+    assert missing.returncode == 3
+    assert "campaign plate has no virtual gauges in view C2P1; 'sms job submit gauges" in missing.stderr
+
+
 def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path) -> None:
     folder = home.parent / "grid"
     folder.mkdir()

@@ -124,8 +124,9 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
     for file in files:
         newest.setdefault(file.subject, file)
     if not newest:
+        of_view = "" if view is None else f" in view {view}"
         raise NotFound(
-            f"campaign {campaign} has no virtual gauges; 'sms job submit gauges -c {campaign} "
+            f"campaign {campaign} has no virtual gauges{of_view}; 'sms job submit gauges -c {campaign} "
             '--gauge "G1 x=0 y=0 length=20"\' reads one in the middle'
         )
     rows = []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.kinds.deformation import strain
+from sms_jobs.kinds.deformation import relative, strain
 from sms_jobs.kinds.deformation.strain import StrainParameters
 from sms_jobs.kinds.shape.plane import PlaneParameters
 from sms_jobs.records.reasons import Reason
@@ -153,6 +153,8 @@ def test_a_parameter_that_is_none_is_told_from_a_wrong_value() -> None:
         InvalidInput, match=r"parameter 'fold_angle_deg' of strain cannot be -1: .* greater than 0"
     ):
         StrainParameters.checked("strain", {"fold_angle_deg": -1})
+    with pytest.raises(InvalidInput, match=r"^relative needs the parameter 'region': of the ref"):
+        relative.RelativeParameters.checked("relative", {})
     for size in (0.0, -1.0, 1e300):
         with pytest.raises(InvalidInput, match="parameter 'mm_per_px' of plane cannot be"):
             PlaneParameters.checked("plane", {"mm_per_px": size})
