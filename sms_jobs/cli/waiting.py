@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+from sms_jobs.cli import output
 from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.shown.estimates import Estimate, Outlook
 
@@ -16,11 +17,15 @@ if TYPE_CHECKING:
 
 @contextmanager
 def followed() -> Iterator[Callable[[Waiting], None]]:
-    """Show on a bar how the jobs come along that are waited for."""
+    """Show on a bar how the jobs come along that are waited for.
+
+    Where there is no terminal for it, say what would never end: that no worker serves their queue.
+    """
     from sms_jobs.cli.bars import job_bar
 
     with job_bar() as bar:
         task = bar.add_task("jobs", total=None, pace="")
+        said: set[str] = set()
 
         def tell(now: Waiting) -> None:
             bar.update(
@@ -30,6 +35,10 @@ def followed() -> Iterator[Callable[[Waiting], None]]:
                 description=now.running or "jobs",
                 pace="" if now.outlook is None else outlook_text(now.outlook),
             )
+            queues = ", ".join(now.outlook.estimate.unserved) if now.outlook is not None else ""
+            if bar.disable and queues and queues not in said:
+                said.add(queues)
+                output.say(f"waiting, with no end in sight: no worker serves the queue {queues}")
 
         yield tell
 

@@ -101,6 +101,14 @@ def test_what_is_not_there_to_be_done_or_shown_is_said_once(plate: Path) -> None
     assert "campaign plate has no virtual gauges in view C2P1; 'sms job submit gauges" in missing.stderr
 
 
+def test_who_waits_for_a_rig_that_nobody_has_is_told(plate: Path) -> None:
+    (job,) = run(plate, "acquire", "run", "plate", "--state", "S00", "--no-wait")["jobs"]
+    waited = inside("job", "wait", job, "--timeout", "2", "--home", str(plate))
+    assert waited.returncode == 124
+    rig = run(plate, "campaign", "show", "plate")["campaign"]["rig"]
+    assert waited.stderr.count(f"waiting, with no end in sight: no worker serves the queue rig-{rig}\n") == 1
+
+
 def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path) -> None:
     folder = home.parent / "grid"
     folder.mkdir()
