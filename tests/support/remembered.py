@@ -24,9 +24,9 @@ _made: dict[tuple[object, str], tuple[Output, ...]] = {}
 class Remembering(Runner):
     """Runs jobs as `Runner` does, but for what a job of the same reuse key has computed in this process."""
 
-    def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: Any) -> Iterator[Any]:
+    def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: Any, progress: Any) -> Iterator[Any]:
         if kind.with_instruments or not held.repeatable:
-            return super()._sealed_outputs(kind, held, task)
+            return super()._sealed_outputs(kind, held, task, progress)
         hashes = {one.role: one.content_hash for one in task.inputs}
         key = kind.run, reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
 
@@ -35,7 +35,7 @@ class Remembering(Runner):
                 _made[key] = tuple(map(_kept, kind.run(inputs, parameters, progress)))
             yield from _made[key]
 
-        return super()._sealed_outputs(replace(kind, run=run), held, task)
+        return super()._sealed_outputs(replace(kind, run=run), held, task, progress)
 
 
 def _kept(output: Output) -> Output:

@@ -98,7 +98,6 @@ class Runner:
     now: Callable[[], datetime]
     least_room_mb: float
     _definitions: Definitions = field(default_factory=Definitions, init=False, repr=False)
-    _said: list[str] = field(default_factory=list, init=False, repr=False)  # the last words of a progress
 
     @property
     def _repository(self) -> Repository:
@@ -199,9 +198,9 @@ class Runner:
             self._clear_leftovers(held)
         started = time.monotonic()
         sealed: list[Entry] = []
-        self._said.clear()
+        progress = _ThrottledProgress(self, held)
         try:
-            sealed.extend(self._sealed_outputs(kind, held, task))
+            sealed.extend(self._sealed_outputs(kind, held, task, progress))
             if kind.adds_states:
                 self._add_states(held, sealed)
         except BaseException:
@@ -209,7 +208,7 @@ class Runner:
             raise
         took = f"took {time.monotonic() - started:.1f} s{because}"
         if not sealed:
-            took = "; ".join([took, *self._said])
+            took = "; ".join(filter(None, (took, progress.said)))
         return self._succeed(held, kind, sealed, begun.key, took)
 
     def _add_states(self, held: Claim, sealed: Sequence[Entry]) -> None:
@@ -296,8 +295,9 @@ class Runner:
                 logger.warning("job %s: discarding %s of an earlier attempt", held.job_id, path)
                 self._repository.withdraw(path)
 
-    def _sealed_outputs(self, kind: Kind[Any], held: Claim, task: _Task) -> Iterator[Entry]:
-        progress = _ThrottledProgress(self, held)
+    def _sealed_outputs(
+        self, kind: Kind[Any], held: Claim, task: _Task, progress: _ThrottledProgress
+    ) -> Iterator[Entry]:
         with ExitStack() as stack:
             datasets = {i.role: stack.enter_context(self.archive.open(i)) for i in task.inputs}
             inputs = Inputs(held.subject, task.context, datasets, self.threads, task.station)
@@ -428,12 +428,13 @@ class _ThrottledProgress:
     """Writes progress to the catalogue a few times a second at most, and hears from it when to stop."""
 
     def __init__(self, runner: Runner, held: Claim) -> None:
+        self.said = ""  # the last words, written or not
         self._runner = runner
         self._held = held
         self._next = 0.0
 
     def __call__(self, fraction: float, message: str = "") -> None:
-        self._runner._said[:] = [message] if message else []
+        self.said = message
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + _PROGRESS_EVERY_S
