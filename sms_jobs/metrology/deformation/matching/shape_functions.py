@@ -73,11 +73,12 @@ def places(
         for k in range(count):
             px = x0 + ux * dx[k] + uy * dy[k]
             py = y0 + vx * dx[k] + vy * dy[k]
-            column = np.int64(px)
-            row = np.int64(py)
+            # Of 32 bits: most machines convert several of these at a time, and longer ones by themselves.
+            column = np.int32(px)
+            row = np.int32(py)
             s[k] = px - column
             t[k] = py - row
-            first[k] = (row - 2) * columns + column - 2
+            first[k] = (np.int64(row) - 2) * columns + column - 2
         return
     uxx, uxy, uyy = 0.5 * warp[6], warp[7], 0.5 * warp[8]
     vxx, vxy, vyy = 0.5 * warp[9], warp[10], 0.5 * warp[11]
@@ -86,11 +87,11 @@ def places(
         y = dy[k]
         px = x0 + (ux + uxx * x + uxy * y) * x + (uy + uyy * y) * y
         py = y0 + (vx + vxx * x + vxy * y) * x + (vy + vyy * y) * y
-        column = np.int64(px)
-        row = np.int64(py)
+        column = np.int32(px)
+        row = np.int32(py)
         s[k] = px - column
         t[k] = py - row
-        first[k] = (row - 2) * columns + column - 2
+        first[k] = (np.int64(row) - 2) * columns + column - 2
 
 
 @kernel
