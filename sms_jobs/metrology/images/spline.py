@@ -36,8 +36,7 @@ _SLOPE_TAPS: Final[dict[Interpolant, Floats]] = {
     "cubic": np.array([-1.0, 0.0, 1.0]) / 2.0,
     "quintic": np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0,
 }
-_LONG_RUN = 16  # pixels from which on a run is worth the start of its own loop
-_STRETCH = 4  # and those from which on a stretch is
+_STRETCH = 4  # pixels from which on a loop of its own is worth its start
 _STRETCHED = 2  # columns by which the first coefficients of a stretch may be nearer or farther than a run's
 _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(number) for number in range(1, 8))
 _PER_14400 = 1.0 / 14400.0
@@ -123,17 +122,16 @@ def _six(
     return near + far
 
 
-@uncounted_summing_kernel
+@inlined
 def _quintic_run(
-    flat: Floats, columns: int, level: int, start: int, stop: int, s: Floats, t: Floats, values: Floats
+    flat: Floats, down: np.uint64, level: int, start: int, stop: int, s: Floats, t: Floats, values: Floats
 ) -> None:
     """Fill the values of a quintic at neighbours: point k is s, t past coefficient level + k + 2.
 
     That is the third of six rows. The taps are written out so that the compiler handles several points at a
-    time; indices are unsigned so that no negative one needs a check, and arrays whole since slices cost more
-    than the points of a short run.
+    time; indices are unsigned so that no negative one needs a check.
     """
-    down, ahead = np.uint64(columns), np.uint64(level)
+    ahead = np.uint64(level)
     for index in range(start, stop):
         k = np.uint64(index)
         p0 = k + ahead
@@ -164,9 +162,9 @@ def _eight(
     return near + far
 
 
-@uncounted_summing_kernel
+@inlined
 def _quintic_stretch(
-    flat: Floats, columns: int, level: int, start: int, stop: int,
+    flat: Floats, down: np.uint64, level: int, start: int, stop: int,
     first: Ints, s: Floats, t: Floats, values: Floats,
 ) -> None:  # fmt: skip
     """Fill the values of a quintic at near neighbours: point k has its first coefficient at k + level, or up
@@ -175,7 +173,7 @@ def _quintic_stretch(
     All points take eight columns, of which two have no weight: so several can be done at a time though what
     they need does not lie beside each other.
     """
-    down, ahead = np.uint64(columns), np.uint64(level)
+    ahead = np.uint64(level)
     for index in range(start, stop):
         k = np.uint64(index)
         p0 = k + ahead
@@ -282,28 +280,65 @@ def _cubic_points(
 
 
 @inlined
-def _in_step(first: Ints, start: int, level: int) -> int:
-    """Return how many of the next points lie beside each other, their first coefficients `level` ahead."""
-    alike = 0
+def _within(first: Ints, start: int, low: int, wide: int) -> int:
+    """Return how many of the next points have their first coefficients `low` ahead or up to `wide` more."""
+    count = 0
     for i in range(_LANES):
-        k = np.uint64(start + i)
-        alike += first[k] - start - i == level
-    return alike
+        beyond = first[np.uint64(start + i)] - start - i - low
+        count += (beyond >= 0) & (beyond <= wide)
+    return count
 
 
 @inlined
-def _end_of_stretch(first: Ints, start: int, stop: int, count: int) -> tuple[int, int]:
-    """Return where a stretch ends, of which points `start` to `stop` are a run, and its lowest level."""
+def _reach(first: Ints, start: int) -> tuple[int, int, int]:
+    """Return how many of the next points one loop can take, and the lowest and the highest level of these."""
+    low = first[start] - start
+    high = first[start + _LANES - 1] - (start + _LANES - 1)
+    low, high = min(low, high), max(low, high)
+    if high - low <= _STRETCHED and _within(first, start, low, high - low) == _LANES:
+        return _LANES, low, high
     low = first[start] - start
     high = low
-    while stop < count:
+    stop = start + 1
+    while stop < start + _LANES:
         level = first[stop] - stop
         lower, higher = min(low, level), max(high, level)
         if higher - lower > _STRETCHED:
             break
         low, high = lower, higher
         stop += 1
-    return stop, low
+    return stop - start, low, high
+
+
+@uncounted_summing_kernel
+def _quintic_values(
+    flat: Floats, columns: int, count: int, taps: Floats, first: Ints, s: Floats, t: Floats, values: Floats
+) -> None:
+    """Fill the values of a quintic, of eight points at a time where enough of these are near each other.
+
+    The others of the eight are done again. `taps` are `_QUINTIC_TAPS`, from which the eight are taken: a loop
+    of a constant length is written out, and none of it done at a time.
+    """
+    down, lanes = np.uint64(columns), taps.shape[1]
+    last = flat.size - 5 * columns - 2 * _LANES  # the last place whose eight points have eight in each row
+    scattered = variable(0)  # where the points begin that no eight has taken
+    start = variable(0)
+    while start + _LANES <= count:
+        taken, low, high = _reach(first, start)
+        if taken >= _STRETCH and start + low <= last:
+            if scattered < start:
+                _quintic_points(flat, columns, scattered, start, taps, first, s, t, values)
+            if low == high:
+                stop = start + lanes
+                while taken >= _LANES and stop + _LANES <= count and _within(first, stop, low, 0) == _LANES:
+                    stop += lanes
+                _quintic_run(flat, down, low, start, stop, s, t, values)
+                taken += stop - start - lanes
+            else:
+                _quintic_stretch(flat, down, low, start, start + lanes, first, s, t, values)
+            scattered = start + taken
+        start += taken
+    _quintic_points(flat, columns, scattered, count, taps, first, s, t, values)
 
 
 @kernel
@@ -314,36 +349,12 @@ def spline_values(
 
     Point k lies s[k] columns and t[k] rows, 0 .. 1, past the coefficient two rows below and two columns right
     of number first[k] of `coefficients`, counted row by row. In images that are hardly turned most
-    neighbours share their rows of coefficients: such runs go through a loop that the compiler vectorises, and
-    so do those of a subset that the deformed image shows wider or narrower by up to a quarter.
+    neighbours share their rows of coefficients: such go through loops that the compiler vectorises, and so do
+    those of a subset that the deformed image shows wider or narrower by up to a quarter.
     """
     columns = coefficients.shape[1]
     flat = coefficients.ravel()
     if code != 5:
         _cubic_points(flat, columns, code == 0, count, first, s, t, values)
         return
-    last = flat.size - 5 * columns - _LANES + 1  # the first coefficient that has no eight in each row
-    scattered = variable(0)  # where the points begin that neither run nor stretch has taken
-    start = variable(0)
-    while start < count:
-        level = first[start] - start
-        stop = start + 1
-        while stop + _LANES <= count and _in_step(first, stop, level) == _LANES:
-            stop += _LANES
-        while stop < count and first[stop] - stop == level:
-            stop += 1
-        is_run = stop - start >= _LONG_RUN
-        if not is_run:
-            stop, level = _end_of_stretch(first, start, stop, count)
-        # The last points of an image have no eight coefficients.
-        if stop - start >= _STRETCH and stop + level <= last:
-            _quintic_points(flat, columns, scattered, start, _QUINTIC_TAPS, first, s, t, values)
-            scattered = stop
-            # Some points more fill the last instruction: they belong to what follows, and are done again.
-            more = max(stop, min(start + -(-(stop - start) // _LANES) * _LANES, count, last - level))
-            if is_run:
-                _quintic_run(flat, columns, level, start, more, s, t, values)
-            else:
-                _quintic_stretch(flat, columns, level, start, more, first, s, t, values)
-        start = stop
-    _quintic_points(flat, columns, scattered, count, _QUINTIC_TAPS, first, s, t, values)
+    _quintic_values(flat, columns, count, _QUINTIC_TAPS, first, s, t, values)
