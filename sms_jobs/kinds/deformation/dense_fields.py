@@ -137,7 +137,7 @@ def field_in_space(
         reason[(found.status == status) & (reason == Reason.VALID)] = np.uint32(why)
     reason[~agrees & (before.surface.reason == Reason.VALID)] = np.uint32(Reason.IMAGES_DISAGREE)
     for values in (found.displacement, found.covariance, found.image_displacement, found.bias):
-        values[:, reason != 0] = np.nan
+        np.copyto(values, np.nan, where=reason != 0)
     radius = max(parameters.subset_radius_px, subsets)
     return DisplacementField(
         before.surface.view,
@@ -234,7 +234,7 @@ def field_in_plane(
         Reason.IMAGES_DISAGREE
     )
     for field in (value, bias):
-        field[:, reason != 0] = np.nan
+        np.copyto(field, np.nan, where=reason != 0)
     size = 1.0 if surface.mm_per_px is None else surface.mm_per_px
     u, v = value
     own, biased = (size**2 * np.stack([v[0], 0.0 * v[0], v[1]]) for v in (image.variance, bias))

@@ -63,7 +63,7 @@ def places_of_pixels(
     plane = in_space(pixels_as_plane(labels.shape))
     spread = blended(trusted_points(found, labels), plane, labels, radius, threads)
     shift, variance = spread.value, spread.variance
-    shift[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
+    np.copyto(shift, np.nan, where=~between_matches(found, labels.shape, parameters.spacing_px))
     verified = verify_displacement(
         images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
     )
@@ -73,7 +73,7 @@ def places_of_pixels(
     off = asks_for_another_place(verified.bias, variance)
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
     disagree = widened(narrowed(off | ~verified.agrees, 3, border_ends=True), 3) & np.isfinite(place[0])
-    place[:, disagree] = np.nan
+    np.copyto(place, np.nan, where=disagree)
     return PartnerPlaces(place, variance, spread.noise, disagree)
 
 
@@ -123,7 +123,7 @@ def with_noise(
         part = noise / variance
     bad = surface.reason != Reason.VALID
     for values in (own, part[None]):
-        values[:, bad] = np.nan
+        np.copyto(values, np.nan, where=bad)
     return replace(
         surface,
         shape_order=shape_order,
@@ -142,5 +142,5 @@ def held_against_the_images(surface: Surface, spread: Sequence[PartnerPlaces]) -
 def places_seen(camera: str, spread: PartnerPlaces, surface: Surface) -> PlacesSeen:
     """Return what is kept of a partner's places: those that the surface has been made of."""
     shift = spread.place - np.moveaxis(pixel_grid(*surface.reason.shape), -1, 0)
-    shift[:, surface.reason != Reason.VALID] = np.nan
+    np.copyto(shift, np.nan, where=surface.reason != Reason.VALID)
     return PlacesSeen(camera, shift.astype(np.float32))

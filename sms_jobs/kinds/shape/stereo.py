@@ -276,7 +276,7 @@ def _surface(
     reason[~missing & apart] |= np.uint32(Reason.LARGE_RAY_GAP)
     bad = reason != Reason.VALID
     for values in (position, covariance, gap[None]):
-        values[:, bad] = np.nan
+        np.copyto(values, np.nan, where=bad)
     return Surface(
         str(inputs.view),
         "mm",

@@ -139,5 +139,5 @@ def ray_directions(intrinsics: Intrinsics, pose: Pose, pixels: Floats) -> Floats
 
 def pixel_grid(rows: int, columns: int) -> Floats:
     """Return the coordinates (x, y) of every pixel centre, (rows, columns, 2), in pixels."""
-    y, x = np.mgrid[0:rows, 0:columns]
-    return np.stack([x, y], axis=-1).astype(np.float64)
+    x, y = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)
+    return np.stack(np.meshgrid(x, y), axis=-1)

@@ -315,10 +315,10 @@ def displacement_field(
         own = reference.own_noise[:, *part], deformed.own_noise
         take_common_noise(spread, (xyz, end), labels, slope, own, (end_x, end_y), common.part(part), threads)
     for field in (moved, spread, biased, image_part):
-        field[:, status != 0] = np.nan
+        np.copyto(field, np.nan, where=status != 0)
     everywhere = np.full((rows, columns), OUTSIDE_REGION, dtype=np.int32)
     everywhere[part] = status
-    image[:, everywhere != 0] = np.nan
+    np.copyto(image, np.nan, where=everywhere != 0)
     moved, spread, biased = (_in_whole(field, part, (rows, columns)) for field in (moved, spread, biased))
     return DenseDisplacement(moved, spread, image, biased, everywhere)
 

@@ -277,7 +277,7 @@ def verify_displacement(
     misfit[~inner] = np.nan
     judged = np.abs(misfit[~np.isnan(misfit)])
     usual = max(1.0, float(np.median(judged))) if len(judged) else 1.0
-    bias[:, ~known] = 0.0
+    np.copyto(bias, 0.0, where=~known)
     with np.errstate(invalid="ignore"):
         agrees = ~(misfit > _DISAGREE * min(usual, 1e6))
     # The outermost windows reach over from pixels that are alike.
