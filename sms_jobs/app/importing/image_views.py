@@ -92,8 +92,8 @@ def views_of_all(cameras: Sequence[str], rig: str, calibration: tuple[int, Calib
     alone = [name for name in cameras if name not in paired]
     remarks = [*_reasons(rig, calibration[0], taken, left)]
     if alone:
-        each = "measures" if len(alone) == 1 else "each measure"
-        remarks.append(f"{' and '.join(alone)} {each} in the plane of the own image, without a partner")
+        measure = "measures in the plane of its" if len(alone) == 1 else "each measure in the plane of their"
+        remarks.append(f"{' and '.join(alone)} {measure} own image, without a partner")
     return Views((*(f"{a}{b}" for (a, b), _ in taken), *alone), tuple(remarks))
 
 

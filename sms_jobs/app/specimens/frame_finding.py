@@ -61,8 +61,9 @@ class Finder:
         if plane is None:
             # On a line of the image the bend of the surface would say where its plane is.
             frame_through(*(np.array([*pixel, 0.0]) for _, pixel in picked))
-        elif self.choice.origin is None:
-            places.insert(0, self._middle()[0])
+        middle = self._middle() if plane is not None and self.choice.origin is None else None
+        if middle is not None:
+            places.insert(0, middle[0])
         make, values = _construction(places, picked[0][0].outward(), plane)
         length = float(np.linalg.norm(places[1] - places[0]))
         placement = make(values)
@@ -73,8 +74,8 @@ class Finder:
             covariance[3 * number : 3 * number + 3, 3 * number : 3 * number + 3] = place.covariance
         if plane is not None:
             covariance[-3:, -3:] = plane.covariance
-            if first:
-                covariance[:3, :3] = self._middle()[1]
+        if middle is not None:
+            covariance[:3, :3] = middle[1]
         return SpecimenFrame(
             "points" if plane is None else "plane",
             placement,

@@ -335,7 +335,7 @@ def _peers(run: Run) -> Iterator[Found]:
         yield Condition(f"platehole, {name}", f"{_CASES[name]}: {each}")
     yield Condition(
         "points_per_cpu_s_over",
-        f"the lower of both cases; {SUBSET_PX} px, one thread, one run each in turn, with everything from "
+        f"the lower of both cases; {SUBSET_PX} px, one thread, {_ROUNDS} rounds in turn, all from "
         "images to displacement, loading and compiling left out; here shape and covariance of every "
         "pixel are in it, and second order between the cameras, which the others do not have",
     )

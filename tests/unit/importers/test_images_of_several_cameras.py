@@ -262,7 +262,7 @@ def test_of_many_cameras_those_pairs_measure_that_see_a_thing_together(
     assert "C2C3 is not taken by calibration 1 of rig rig: they see it from directions" in remarks
     assert "C1C4 is not taken by calibration 1 of rig rig: they see nothing" in remarks
     assert "C1C5 is not taken by calibration 1 of rig rig: not both are in it" in remarks
-    assert "C3 and C4 and C5 each measure in the plane of the own image, without a partner" in remarks
+    assert "C3 and C4 and C5 each measure in the plane of their own image, without a partner" in remarks
 
 
 def test_a_view_of_several_cameras_was_measured_when_its_images_were(
