@@ -25,6 +25,7 @@ from sms_jobs.catalogue.tables.queues import DependencyRow, JobDeviceRow, Outbox
 from sms_jobs.errors import Cancelled, LeaseLost, OverLimit
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.notifying import occurrences
+from sms_jobs.jobs.running import alike
 from sms_jobs.records.job import UNSUCCESSFUL, JobState, origins
 from sms_jobs.records.subject import Subject
 
@@ -208,6 +209,7 @@ def _claiming() -> ReturningUpdate[Any]:
             ),
             ~exists().where(QueueRow.name == JobRow.queue, QueueRow.paused_at.is_not(None)),
             ~locks.waits_for_device(now),
+            ~alike.is_computed(),
         )
         .order_by(JobRow.priority.desc(), JobRow.position)
         .limit(1)

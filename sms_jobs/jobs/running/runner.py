@@ -44,17 +44,17 @@ from sms_jobs.jobs.archiving.repository import Repository, operator
 from sms_jobs.jobs.devices.stations import Stations
 from sms_jobs.jobs.results import newer, reuse
 from sms_jobs.jobs.results.reuse import Earlier
-from sms_jobs.jobs.running import lifecycle, outages, queues, recovery
+from sms_jobs.jobs.running import alike, lifecycle, outages, queues, recovery
 from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.jobs.running.logs import logged
+from sms_jobs.jobs.running.progress import ThrottledProgress
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Station
-from sms_jobs.records.job import JobState
+from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.subject import Subject
 
 T = TypeVar("T")
 
-_PROGRESS_EVERY_S = 0.5
 _ATTEMPTS = 3
 """How often a job is tried when what fails may pass by itself."""
 _READ_AT_ONCE_BYTES = 1 << 20
@@ -177,19 +177,24 @@ class Runner:
             hashes = {i.role: i.content_hash for i in task.inputs}
             key = reuse.reuse_key(kind, held.subject, held.parameters, task.context, hashes)
             earlier = reuse.earlier_success(session, key) if held.use_cache and held.repeatable else None
-            if earlier is not None and newer.replaced(session, [earlier.job_id]):
-                return _Begun(task, key, earlier, "other results have come since, and the newest counts")
-            if earlier is None or earlier.size_bytes > _READ_AT_ONCE_BYTES:
-                return _Begun(task, key, earlier)
-            if objection := reuse.damage(self.archive, earlier):
-                return _Begun(task, key, earlier, objection)
-            return _Begun(task, key, earlier, "", (self._reuse(session, held, key, earlier, fault),))
+            begun = _Begun(task, key, earlier)
+            if earlier is None:
+                return self._take_up(session, held, begun, fault)
+            if newer.replaced(session, [earlier.job_id]):
+                objection = "other results have come since, and the newest counts"
+            elif earlier.size_bytes > _READ_AT_ONCE_BYTES:
+                return begun
+            else:
+                objection = reuse.damage(self.archive, earlier)
+            if objection:
+                return self._take_up(session, held, replace(begun, objection=objection), fault)
+            return replace(begun, ended=(self._reuse(session, held, key, earlier, fault),))
 
         begun = self._commit(held, begin)
-        if begun.earlier is not None and begun.objection is None:
+        if begun.earlier is not None and begun.objection is None and not begun.ended:
             begun = self._read_earlier(held, begun, begun.earlier, fault)
-        if begun.reused:
-            return begun.reused[0]
+        if begun.ended:
+            return begun.ended[0]
         task, because = begun.task, ""
         if begun.earlier is not None:
             because = f"; not reused from job {begun.earlier.job_id[:8]}: {begun.objection}"
@@ -198,7 +203,7 @@ class Runner:
             self._clear_leftovers(held)
         started = time.monotonic()
         sealed: list[Entry] = []
-        progress = _ThrottledProgress(self, held)
+        progress = ThrottledProgress(self.catalogue, held)
         try:
             sealed.extend(self._sealed_outputs(kind, held, task, progress))
             if kind.adds_states:
@@ -211,6 +216,22 @@ class Runner:
             took = "; ".join(filter(None, (took, progress.said)))
         return self._succeed(held, kind, sealed, begun.key, took)
 
+    def _take_up(self, session: Session, held: Claim, begun: _Begun, fault: SmsError | None) -> _Begun:
+        """Begin a job, or queue it again while another computes the same."""
+        if not held.repeatable:
+            return begun
+        other = alike.take(session, held.job_id, held.fence, begun.key, giving_way=held.use_cache)
+        if other is None:
+            return begun
+        message = f"job {other[:SHORT_ID]} computes the same, and its result is waited for"
+        as_before: dict[str, Any] = {"attempts": held.attempt - 1, "reuse_key": begun.key}
+        if not lifecycle.change(
+            session, held.job_id, JobState.QUEUED, self.now(), message, fence=held.fence, **as_before
+        ):
+            raise LeaseLost("a newer attempt has started")
+        logger.info("job %s: %s", held.job_id, message)
+        return replace(begun, ended=(self._claim(session, fault),))
+
     def _add_states(self, held: Claim, sealed: Sequence[Entry]) -> None:
         """Give the campaign the states that results are about.
 
@@ -222,13 +243,15 @@ class Runner:
 
     def _read_earlier(self, held: Claim, begun: _Begun, earlier: Earlier, fault: SmsError | None) -> _Begun:
         """Read a large result while others use the catalogue, and reuse it if it is whole."""
-        if objection := reuse.damage(self.archive, earlier):
-            return replace(begun, objection=objection)
+        objection = reuse.damage(self.archive, earlier)
 
         def end(session: Session) -> _Begun:
-            if reuse.earlier_success(session, begun.key) != earlier:
-                return replace(begun, objection="its files were removed meanwhile")
-            return replace(begun, reused=(self._reuse(session, held, begun.key, earlier, fault),))
+            why = objection
+            if not why and reuse.earlier_success(session, begun.key) != earlier:
+                why = "its files were removed meanwhile"
+            if why:
+                return self._take_up(session, held, replace(begun, objection=why), fault)
+            return replace(begun, ended=(self._reuse(session, held, begun.key, earlier, fault),))
 
         return self._commit(held, end)
 
@@ -296,7 +319,7 @@ class Runner:
                 self._repository.withdraw(path)
 
     def _sealed_outputs(
-        self, kind: Kind[Any], held: Claim, task: _Task, progress: _ThrottledProgress
+        self, kind: Kind[Any], held: Claim, task: _Task, progress: ThrottledProgress
     ) -> Iterator[Entry]:
         with ExitStack() as stack:
             datasets = {i.role: stack.enter_context(self.archive.open(i)) for i in task.inputs}
@@ -413,34 +436,12 @@ class _Begun:
     objection
         Why the earlier result is not reused, such as what of it is not as it was sealed; None when it was not
         read.
-    reused
-        The next job or None, when this one has ended with the earlier result; else nothing.
+    ended
+        The next job or None, when this one has ended with the earlier result or given way; else nothing.
     """
 
     task: _Task
     key: str
-    earlier: Earlier | None
+    earlier: Earlier | None = None
     objection: str | None = None
-    reused: tuple[Claim | None, ...] = ()
-
-
-class _ThrottledProgress:
-    """Writes progress to the catalogue a few times a second at most, and hears from it when to stop."""
-
-    def __init__(self, runner: Runner, held: Claim) -> None:
-        self.said = ""  # the last words, written or not
-        self._runner = runner
-        self._held = held
-        self._next = 0.0
-
-    def __call__(self, fraction: float, message: str = "") -> None:
-        self.said = message
-        if time.monotonic() < self._next:
-            return
-        self._next = time.monotonic() + _PROGRESS_EVERY_S
-        try:
-            with self._runner.catalogue.writing() as session:
-                lifecycle.report_progress(session, self._held, min(max(fraction, 0.0), 1.0), message)
-        except (ServerUnreachable, StorageFull) as error:
-            # Hours of computing are not given up because nobody could be told of their progress.
-            logger.warning("job %s: %s", self._held.job_id, error)
+    ended: tuple[Claim | None, ...] = ()
