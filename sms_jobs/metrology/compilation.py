@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from sms_jobs.metrology.kernel_cache import cached
+from sms_jobs.metrology.kernel_linking import keep_copies_apart
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -25,6 +26,8 @@ _OPTIONS: dict[str, Any] = {
     "no_cfunc_wrapper": True,  # to be called from C, which nobody does and takes a twentieth of compilation
 }
 _REORDERED = {"reassoc", "contract"}
+
+keep_copies_apart()
 
 
 def kernel(function: F) -> F:

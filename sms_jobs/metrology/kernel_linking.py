@@ -1,0 +1,32 @@
+"""A compiled kernel runs its own copies of the kernels it calls, whatever else a process has loaded.
+
+Numba links every kernel that another calls into that one, and optimises the copy once more with it. The names
+of copies are weak: all call the one that was loaded first in a process. Where sums may be reordered, copies
+differ in the last digits; so would results, by what the process had compiled or computed before.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+
+
+class SelfContainedLibrary(JITCodeLibrary):
+    """The machine code of a kernel, in which nobody else knows the names of the copies."""
+
+    def _finalize_final_module(self) -> None:
+        if self._shared_module is None:
+            # What other kernels link keeps its names, so that what comes in twice comes in once.
+            self._finalized = True
+            self._get_module_for_linking()
+            self._finalized = False
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name == "linkonce_odr":
+                function.linkage = "internal"
+        super()._finalize_final_module()
+
+
+def keep_copies_apart() -> None:
+    """Have kernels compiled so in this process from now on."""
+    cast(Any, JITCPUCodegen)._library_class = SelfContainedLibrary
