@@ -89,6 +89,8 @@ def run(
             output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
             return
         by_hand = next((t.by_hand for t in turns if t.by_hand), "")
+        # Before anybody is asked to place something.
+        recordings.refuse_lacking(plan.lacking)
         if no_wait and by_hand:
             raise InvalidInput(f"somebody has to be there ({by_hand}): leave out --no-wait")
         # A session is adjusted as a whole, once all of its poses are there.

@@ -282,7 +282,11 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
 
 
 def station_of(inputs: Inputs, setting: Setting | None) -> Station:
-    """Return where a job records; raise `InvalidInput` without a rig, or a scene for a simulated one."""
+    """Return where a job records.
+
+    Raises `InvalidInput` without a rig, without a scene for a simulated one, or with one whose images have
+    another size.
+    """
     station = inputs.station
     if station is None:
         raise InvalidInput(
@@ -294,6 +298,11 @@ def station_of(inputs: Inputs, setting: Setting | None) -> Station:
             f"rig {station.rig.name} is simulated, and campaign {inputs.subject.campaign} describes no scene "
             "for it to look at: give its plan a [scene], or name a rig with real sensors"
         )
+    if station.rig.simulated and setting is not None:
+        planned = setting.scene.rig.sensors
+        there = [one.name for one in planned if one.name in station.rig.sensors]
+        if differing := station.rig.lacking(there, planned):
+            raise InvalidInput("; ".join(differing))
     return station
 
 
