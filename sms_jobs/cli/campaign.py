@@ -240,6 +240,7 @@ def matrix(
     """
     with bootstrap.services(home) as services:
         found = campaign_matrix.matrix(services, name, state or ())
+        found = campaign_matrix.in_order(found, campaigns.definition(services, name))
     if as_json:
         output.print_json_list(found)
         return

@@ -23,7 +23,7 @@ _STARTS_WITHIN_S = 10.0
 def followed() -> Iterator[Callable[[Waiting], None]]:
     """Show on a bar how the jobs come along that are waited for.
 
-    Where there is no terminal for it, say what would never end: that no worker is there or serves their queue.
+    Where there is no terminal for it, say what would never end: that no worker is there, or serves them.
     """
     from sms_jobs.cli.bars import job_bar
 
