@@ -398,11 +398,15 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
 def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
     """Return the parameters of NAME=VALUE words; a value with commas is a list."""
-    parameters = {}
+    parameters: dict[str, Any] = {}
     for text in settings:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InvalidInput(f"--set {text} is not NAME=VALUE; write it like --set gauge_length_mm=30")
+        if name in parameters:
+            raise InvalidInput(
+                f"the parameter '{name}' has one value, and is given more than once: give it once"
+            )
         parameters[name] = value.split(",") if "," in value else value
     return parameters
 
