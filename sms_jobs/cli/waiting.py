@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sms_jobs.cli import output
 from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.shown.estimates import Estimate, Outlook
+from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
     from sms_jobs.app.work.waiting import Waiting
@@ -77,8 +78,7 @@ def outlook_text(outlook: Outlook) -> str:
 
 def estimate_text(estimate: Estimate, now: datetime) -> str:
     """Say when jobs will have ended, and what that depends on."""
-    one = "worker" if estimate.workers == 1 else "workers"
-    where = f"on {estimate.workers} {one}" + ("" if estimate.alive else " once 'sms up' runs")
+    where = f"on {number_of(estimate.workers, 'worker')}" + ("" if estimate.alive else " once 'sms up' runs")
     new = ", ".join(f"{kind} ({count})" for kind, count in estimate.unknown.items())
     if estimate.jobs and estimate.reused == estimate.jobs:
         return f"nothing has to be computed: {estimate.jobs} of {estimate.jobs} are reused"

@@ -52,6 +52,7 @@ from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
     DOUBTS,
     LIT_FRACTION,
@@ -278,7 +279,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             statistics_of(recording)
             | (adaptation_statistics(measurement) if parameters.adaptive != "none" else {}),
         )
-    progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
+    progress(1.0, "; ".join(doubts) or f"recorded {number_of(len(task.views), 'view')}")
 
 
 def station_of(inputs: Inputs, setting: Setting | None) -> Station:
