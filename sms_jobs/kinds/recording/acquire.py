@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -123,6 +123,11 @@ class AcquireParameters(Parameters):
         description="what becomes of a set that does not keep them even so: it is kept and says so, or an "
         "operator is asked while the specimen is still held",
     )
+
+    @field_validator("channels", mode="before")
+    @classmethod
+    def _one_or_several(cls, given: Any) -> Any:
+        return tuple(given.split()) if isinstance(given, str) else given
 
     @field_validator("channels")
     @classmethod
