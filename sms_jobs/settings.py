@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr, ValidationError
 
-from sms_jobs.errors import ConfigurationError
+from sms_jobs.errors import ConfigurationError, in_words
 
 FILE_NAME = "sms.toml"
 _PREFIX = "SMS_"
@@ -180,9 +181,15 @@ def load(home: Path | None = None, environment_file: Path | None = None) -> Sett
     except ValidationError as error:
         first = error.errors(include_input=False, include_url=False)[0]
         name = ".".join(str(part) for part in first["loc"]) or "settings"
+        if first["type"] == "extra_forbidden":
+            near = get_close_matches(name, Settings.model_fields, 1)
+            meant = f"did you mean '{near[0]}'" if near else "docs/configuration.md has all"
+            raise ConfigurationError(
+                f"there is no setting '{name}' ({folder / FILE_NAME}); {meant}"
+            ) from error
         raise ConfigurationError(
             f"the setting '{name}' ({folder / FILE_NAME} or SMS_{name.upper()}) "
-            f"cannot be used: {first['msg']}"
+            f"cannot be used: {in_words(first['msg'])}"
         ) from error
 
 

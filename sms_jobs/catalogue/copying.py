@@ -19,6 +19,7 @@ from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.catalogue.tables.every import METADATA, written_tables
 from sms_jobs.errors import ConfigurationError, Conflict
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
+from sms_jobs.records.sizes import number_of
 
 _AT_ONCE = 2000
 
@@ -52,8 +53,8 @@ def require_idle(source: Catalogue, now: datetime) -> None:
         )
     if running:
         raise Conflict(
-            f"{running} jobs are running under workers that give no sign of life; start 'sms up', which "
-            "recovers them, end it in order, then copy again"
+            f"workers that give no sign of life have {number_of(running, 'job')} running; start 'sms up', "
+            "which recovers what is lost, end it in order, then copy again"
         )
 
 
@@ -81,7 +82,7 @@ def prepare(target: Catalogue) -> None:
             count = session.scalar(select(func.count()).select_from(table))
             if count:
                 raise Conflict(
-                    f"{target.describe()} is not empty: it has {count} rows in '{table.name}'; "
+                    f"{target.describe()} is not empty: it has {number_of(count, 'row')} in '{table.name}'; "
                     "give an empty database"
                 )
 

@@ -18,6 +18,7 @@ from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.planned_recordings import Ask, Process
 from sms_jobs.errors import InvalidInput, JobFailed
 from sms_jobs.records.job import SHORT_ID
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
     DOUBTS,
     LIT_FRACTION,
@@ -89,6 +90,8 @@ def run(
             output.say(f"every state of {campaign} is recorded, or waits; see 'sms acquire list'")
             return
         by_hand = next((t.by_hand for t in turns if t.by_hand), "")
+        # Before anybody is asked to place something.
+        recordings.refuse_lacking(plan.lacking)
         if no_wait and by_hand:
             raise InvalidInput(f"somebody has to be there ({by_hand}): leave out --no-wait")
         # A session is adjusted as a whole, once all of its poses are there.
@@ -100,7 +103,7 @@ def run(
             begun = recordings.record(services, campaign, turn.labels, ask=ask, process=at_once)
             if not as_json:
                 said = ", each to be processed" if at_once else ""
-                output.say(f"submitted {begun.recordings} recordings{said}")
+                output.say(f"submitted {number_of(begun.recordings, 'recording')}{said}")
             if no_wait:
                 if as_json:
                     output.print_json({"campaign": campaign, "jobs": begun.job_ids})
@@ -111,7 +114,7 @@ def run(
         if at_the_end:
             count = recordings.process(services, campaign)
             if not as_json:
-                output.say(f"submitted {count} jobs that calibrate from all poses")
+                output.say(f"submitted {number_of(count, 'job')} to calibrate from all poses")
 
 
 def _rehearse(services: Services, plan: Plan, as_json: bool) -> None:
@@ -226,8 +229,8 @@ def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:
     lost = int(statistics.get(RETAKEN_FRAMES, 0.0))
     notes = [
         "doubtful" if statistics.get(DOUBTS) else "good",
-        *([f"recorded {again} times again"] if again else []),
-        *([f"{lost} frames taken again"] if lost else []),
+        *([f"recorded {number_of(again, 'time')} again"] if again else []),
+        *([f"{number_of(lost, 'frame')} taken again"] if lost else []),
     ]
     return (
         f"{statistics.get(LIT_FRACTION, 0.0):.0%}",

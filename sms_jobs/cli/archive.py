@@ -16,7 +16,7 @@ from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.asking import Reason, because
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 
 app = typer.Typer(help="The archive: is everything there, and as it was sealed?", no_args_is_help=True)
 
@@ -69,7 +69,7 @@ def verify(
         output.print_table(
             ["problem", "file", "what"],
             [(f.problem, f.path, f.detail) for f in done.findings],
-            empty=f"{done.files} files, {size(done.size_bytes)}: all as they were sealed",
+            empty=f"{number_of(done.files, 'file')}, {size(done.size_bytes)}: all as they were sealed",
         )
     if done.findings:
         raise typer.Exit(_FINDINGS)

@@ -15,6 +15,7 @@ from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.job import SHORT_ID
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.units import typed
 
 app = typer.Typer(
@@ -67,10 +68,8 @@ def create(
         following = f"sms import images FOLDER --campaign {campaign.name}, or sms acquire run {campaign.name}"
     else:
         following = f"sms acquire run {campaign.name} --dry-run"
-    output.say(
-        f"campaign {campaign.name} has {len(campaign.states)} states and {len(campaign.views)} views; "
-        f"next: {following}"
-    )
+    states, views = number_of(len(campaign.states), "state"), number_of(len(campaign.views), "view")
+    output.say(f"campaign {campaign.name} has {states} and {views}; next: {following}")
 
 
 @app.command("add-state")
@@ -95,9 +94,8 @@ def add_state(
     if as_json:
         output.print_json({"campaign": campaign, "state": label, "states": len(found.states)})
     else:
-        output.say(
-            f"campaign {campaign} has {len(found.states)} states; 'sms acquire plan' plans the new one"
-        )
+        states = number_of(len(found.states), "state")
+        output.say(f"campaign {campaign} has {states}; 'sms acquire plan' plans the new one")
 
 
 @app.command("add-view")
@@ -195,7 +193,7 @@ def show(
         )
         return
     sequence = campaign.sequence
-    words = f"{sequence.in_words}, {sequence.frames} frames"
+    words = f"{sequence.in_words}, {number_of(sequence.frames, 'frame')}"
     fringes = {"fringes": words} if campaign.shows_fringes else {}
     output.print_facts(
         {
@@ -240,6 +238,7 @@ def matrix(
     """
     with bootstrap.services(home) as services:
         found = campaign_matrix.matrix(services, name, state or ())
+        found = campaign_matrix.in_order(found, campaigns.definition(services, name))
     if as_json:
         output.print_json_list(found)
         return

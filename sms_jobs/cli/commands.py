@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -62,12 +62,13 @@ class Command:
 
 
 def _guard(command: Any) -> None:
-    """Let a command, or those of a group, refuse numbers with which nothing can be computed."""
+    """Let a command, or those of a group, refuse what is given twice, and numbers that tell nothing."""
     for inner in getattr(command, "commands", {}).values():
         _guard(inner)
     run = command.callback
     if run is None or getattr(command, "commands", None):
         return
+    command.make_parser = _refusing_twice(command.make_parser)
 
     @wraps(run)
     def guarded(**given: Any) -> Any:
@@ -80,6 +81,30 @@ def _guard(command: Any) -> None:
         return run(**given)
 
     command.callback = guarded
+
+
+def _refusing_twice(make_parser: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return what makes a parser that refuses an option of one value where it is given again."""
+
+    def made(ctx: Any) -> Any:
+        parser = make_parser(ctx)
+        parse = parser.parse_args
+
+        def parse_args(args: list[str]) -> Any:
+            found = parse(args=args)
+            _, _, given = found
+            for one in () if ctx.resilient_parsing else given:
+                valued = one.param_type_name == "option" and not (one.is_flag or one.multiple or one.count)
+                if valued and given.count(one) > 1:
+                    raise InvalidInput(
+                        f"{max(one.opts, key=len)} has one value, and is given more than once: give it once"
+                    )
+            return found
+
+        parser.parse_args = parse_args
+        return parser
+
+    return made
 
 
 COMMANDS: Mapping[str, Command] = {

@@ -12,6 +12,7 @@ from sms_jobs.app.home import database
 from sms_jobs.app.home.database import SHARES, BackedUp
 from sms_jobs.cli import bars, output
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.sizes import number_of
 
 app = typer.Typer(help="The catalogue's database, and backups.", no_args_is_help=True)
 
@@ -71,8 +72,8 @@ def copy(
     if as_json:
         output.print_json({"rows": done.rows, "to": done.to})
     output.say(
-        f"copied {done.rows} rows to {done.to}; set database_url to it (in sms.toml, or SMS_DATABASE_URL) "
-        "before anything is written to the old catalogue, then run 'sms doctor'"
+        f"copied {number_of(done.rows, 'row')} to {done.to}; set database_url to it (in sms.toml, or "
+        "SMS_DATABASE_URL) before anything is written to the old catalogue, then run 'sms doctor'"
     )
 
 

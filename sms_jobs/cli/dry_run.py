@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sms_jobs.cli import output
 from sms_jobs.records.shown.rehearsals import DryRun
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 
 
 def show(campaign: str, done: DryRun, as_json: bool) -> None:
@@ -49,7 +49,7 @@ def show(campaign: str, done: DryRun, as_json: bool) -> None:
             packed = f"{done.packed:.0%} of raw, as before with this rig"
         output.print_facts(
             {
-                "in all": f"{output.duration(done.seconds)}, {done.frames} frames",
+                "in all": f"{output.duration(done.seconds)}, {number_of(done.frames, 'frame')}",
                 "raw": size(done.raw_bytes),
                 "archived": f"{size(done.archived_bytes)} ({packed})",
                 "free for it": size(done.archive_room),

@@ -22,7 +22,7 @@ from sms_jobs.cli.waiting import as_json as outlook_as_json
 from sms_jobs.cli.waiting import estimate_text, followed, outlook_text
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 
 _FINDINGS = 6
 _MOST_REFUSED = 20
@@ -150,7 +150,7 @@ def _submit_found(services: bootstrap.Services, where: str, work: Work, dry_run:
     else:
         jobs = sum(len(done.job_ids) for done in found.campaigns.values())
         _tell_submitted(jobs, found.counted, dry_run)
-        output.say(f"of {len(found.campaigns)} campaigns: {', '.join(found.campaigns)}")
+        output.say(f"of {number_of(len(found.campaigns), 'campaign')}: {', '.join(found.campaigns)}")
     _tell_refused(found.all_refused)
     if found.all_refused:
         raise typer.Exit(_FINDINGS)
@@ -164,7 +164,7 @@ def _submitted_as_json(campaign: str, done: Submitted, dry_run: bool) -> dict[st
 def _tell_submitted(jobs: int, counted: Mapping[str, int], dry_run: bool) -> None:
     what = ", ".join(f"{count} {name}" for name, count in counted.items())
     would = "would submit" if dry_run else "submitted"
-    output.say(f"{would} {jobs} jobs: {what}" if what else "there is nothing to do")
+    output.say(f"{would} {number_of(jobs, 'job')}: {what}" if what else "there is nothing to do")
 
 
 def _tell_refused(refused: Sequence[Refusal]) -> None:
@@ -244,7 +244,10 @@ def list_(
         empty="there is no such job",
     )
     if left is not None and left.outlook is not None:
-        output.say(f"{left.active} jobs of {campaign} have not ended: {outlook_text(left.outlook)}")
+        jobs = (
+            f"{number_of(left.active, 'job')} of {campaign} {'has' if left.active == 1 else 'have'} not ended"
+        )
+        output.say(f"{jobs}: {outlook_text(left.outlook)}")
 
 
 @app.command()
@@ -363,7 +366,7 @@ def cancel(
     """
     with bootstrap.services(home) as services:
         cancelled = jobs_.cancel(services, jobs or [], campaign)
-    output.say(f"cancelled {cancelled} jobs")
+    output.say(f"cancelled {number_of(cancelled, 'job')}")
 
 
 @app.command()
@@ -378,7 +381,7 @@ def retry(
     """
     with bootstrap.services(home) as services:
         count = jobs_.retry(services, jobs or [], campaign)
-    output.say(f"{count} jobs run again")
+    output.say(f"to run again: {number_of(count, 'job')}")
 
 
 @app.command()
@@ -398,11 +401,15 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
 def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
     """Return the parameters of NAME=VALUE words; a value with commas is a list."""
-    parameters = {}
+    parameters: dict[str, Any] = {}
     for text in settings:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InvalidInput(f"--set {text} is not NAME=VALUE; write it like --set gauge_length_mm=30")
+        if name in parameters:
+            raise InvalidInput(
+                f"the parameter '{name}' has one value, and is given more than once: give it once"
+            )
         parameters[name] = value.split(",") if "," in value else value
     return parameters
 

@@ -13,7 +13,7 @@ from sms_jobs.cli import bars, completion, output
 from sms_jobs.cli.calibration.acceptance import used_for
 from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 
 if TYPE_CHECKING:
     from sms_jobs.app.holdings.packing import CheckedFolder
@@ -78,7 +78,8 @@ def pack(
         )
         return
     output.say(
-        f"{done.files} files, {size(done.size_bytes)}, are in {to}; 'sms data check {to}' reads them again"
+        f"packed {number_of(done.files, 'file')}, {size(done.size_bytes)}, into {to}; "
+        f"'sms data check {to}' reads them again"
     )
 
 
@@ -93,7 +94,9 @@ def check(folder: Folder, as_json: Json = False) -> None:
     if as_json:
         output.print_json({"checked": found.files, "bytes": found.size_bytes, "faults": found.faults})
     else:
-        _print_faults(found, f"{found.files} files, {size(found.size_bytes)}: all as they were packed")
+        _print_faults(
+            found, f"{number_of(found.files, 'file')}, {size(found.size_bytes)}: all as they were packed"
+        )
     if found.faults:
         raise typer.Exit(_FINDINGS)
 

@@ -12,6 +12,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.job import JobIds
 from sms_jobs.cli.options import CampaignOption
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.sizes import number_of
 
 app = typer.Typer(help="Queues: what may begin, and in which order.", no_args_is_help=True)
 
@@ -77,7 +78,7 @@ def move(
     """
     with bootstrap.services(home) as services:
         count = queues.move(services, jobs or [], campaign, to)
-    output.say(f"moved {count} jobs to the {to}")
+    output.say(f"moved {number_of(count, 'job')} to the {to}")
 
 
 @app.command()
@@ -95,4 +96,4 @@ def priority(
     """
     with bootstrap.services(home) as services:
         count = queues.set_priority(services, jobs or [], campaign, value)
-    output.say(f"gave {count} jobs the priority {value}")
+    output.say(f"gave {number_of(count, 'job')} the priority {value}")

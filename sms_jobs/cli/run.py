@@ -19,6 +19,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID
 from sms_jobs.records.plain import plain
 from sms_jobs.records.shown.runs import Difference, RunChange, RunComparison, RunStory
+from sms_jobs.records.sizes import number_of
 
 app = typer.Typer(help="Runs: results under a name, kept and compared.", no_args_is_help=True)
 
@@ -209,7 +210,7 @@ def _row(one: Difference) -> Sequence[Any]:
 
 def _tell_rest(found: RunComparison) -> None:
     if found.same:
-        output.say(f"{found.same} results of displacement, strain and gauges are the same in both")
+        output.say(f"the same in both: {number_of(found.same, 'result')} of displacement, strain and gauges")
     for name, alone in ((found.before, found.only_before), (found.after, found.only_after)):
         if alone:
             output.say(f"only {name} has {', '.join(f'{count} {kind}' for kind, count in alone.items())}")
@@ -233,7 +234,7 @@ def keep(
     with bootstrap.services(home) as services:
         found = runs.keep(services, name, reason)
     gone = f", {found.removed} of which had been removed before" if found.removed else ""
-    output.say(f"run {name} is kept: {len(found.results)} results{gone}")
+    output.say(f"run {name} is kept: {number_of(len(found.results), 'result')}{gone}")
 
 
 @app.command()

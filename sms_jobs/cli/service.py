@@ -14,7 +14,7 @@ from sms_jobs.app.home.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import outlook_text
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 
 
 def init(
@@ -55,7 +55,7 @@ def up(
         supervisor = service.supervisor(services)
         output.say(
             f"worker {supervisor.worker_id} serves {services.settings.home} with "
-            f"{services.settings.workers} jobs at a time; Ctrl-C ends it"
+            f"{number_of(services.settings.workers, 'job')} at a time; Ctrl-C ends it"
         )
         with service.served(services, listen) if web else nullcontext():
             supervisor.run(until_idle=until_idle)

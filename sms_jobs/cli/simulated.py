@@ -12,6 +12,7 @@ from sms_jobs.app.specimens import experiments
 from sms_jobs.app.specimens.experiments import EXPERIMENTS
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.sizes import number_of
 
 
 def simulate(
@@ -57,8 +58,8 @@ def simulate(
         return
     for campaign in made:
         output.say(
-            f"created campaign {campaign.name}: {len(campaign.states)} states, {', '.join(campaign.views)}; "
-            f"'sms job submit simulate pipeline -c {campaign.name}' measures it"
+            f"created campaign {campaign.name}: {number_of(len(campaign.states), 'state')}, "
+            f"{', '.join(campaign.views)}; 'sms job submit simulate pipeline -c {campaign.name}' measures it"
         )
 
 

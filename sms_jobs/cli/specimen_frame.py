@@ -113,11 +113,17 @@ def _tell(found: FrameOf, as_json: bool) -> None:
                 "campaign": found.campaign,
                 "frame": found.frame,
                 "of_scene": found.of_scene,
+                "in_image": found.in_image,
                 "stale": found.stale,
             }
         )
         return
-    if found.frame is None:
+    if found.in_image:
+        output.say(
+            f"campaign {found.campaign} has no specimen frame, and none can be found: its cameras measure in "
+            "the plane of the image, along whose axes its results lie"
+        )
+    elif found.frame is None:
         axes = "those of the scene" if found.of_scene else "the world's"
         output.say(
             f"campaign {found.campaign} has no specimen frame of its own: the specimen's axes are {axes}; "

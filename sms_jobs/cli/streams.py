@@ -18,7 +18,7 @@ from sms_jobs.errors import InvalidInput, JobFailed
 from sms_jobs.records.events import typed_event
 from sms_jobs.records.numbers import checked_number
 from sms_jobs.records.shown.streams import StreamOutcome, StreamRehearsal
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 from sms_jobs.records.units import duration_s, typed
 
 _FINDINGS = 6
@@ -119,7 +119,7 @@ def stream(
         if process:
             count = recordings.process(services, campaign)
             if not as_json:
-                output.say(f"submitted {count} jobs of the pipeline")
+                output.say(f"submitted {number_of(count, 'job')} of the pipeline")
 
 
 def _task(
@@ -163,7 +163,7 @@ def _show(campaign: str, found: StreamRehearsal, as_json: bool) -> None:
         output.print_facts(
             {
                 "cameras": ", ".join(found.cameras),
-                "kept": f"{output.duration(found.seconds)}: {found.frames} frames of each camera",
+                "kept": f"{output.duration(found.seconds)}: {number_of(found.frames, 'frame')} a camera",
                 "states": str(found.states),
                 "memory": f"{size(found.ring_bytes)}, of {size(found.memory_room)}",
                 "spool": f"{size(found.spool_bytes)} at most, of {size(found.spool_room)}",
@@ -203,8 +203,8 @@ def _tell(campaign: str, found: StreamOutcome) -> None:
         output.say(f"{name} went from {low:g} to {high:g}")
     for name, count in found.unread.items():
         output.say(
-            f"{name} was not read before and after {count} states, which have no value of it: see that its "
-            "software writes, and 'sms import channels' to enter it"
+            f"{name} was not read before and after {number_of(count, 'state')}, which it has no value for: "
+            "see that its software writes, and 'sms import channels' to enter it"
         )
     if found.broke_off:
         output.say("the stream broke off; what had been written by then is in the archive")

@@ -61,6 +61,12 @@ def gauges(
         ],
         empty=f"no virtual gauges of campaign {campaign}",
     )
+    for (name, of_view), states in found.unread.items():
+        more = f" and {len(states) - 1} more" if len(states) > 1 else ""
+        output.say(
+            f"gauge {name} reads nothing in {of_view} at {states[0]}{more}: it lies off the specimen, or "
+            "fewer than twelve valid points lie under it"
+        )
     if found.rms_difference is not None:
         count, rms = found.rms_difference
         output.say(f"rms difference of {count} readings: {_in(rms)} microstrain")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -10,22 +11,27 @@ from typing import TYPE_CHECKING, Any
 from sms_jobs.cli import output
 from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.shown.estimates import Estimate, Outlook
+from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
     from sms_jobs.app.work.waiting import Waiting
+
+_STARTS_WITHIN_S = 10.0
+"""A service that was started just before is not missed."""
 
 
 @contextmanager
 def followed() -> Iterator[Callable[[Waiting], None]]:
     """Show on a bar how the jobs come along that are waited for.
 
-    Where there is no terminal for it, say what would never end: that no worker serves their queue.
+    Where there is no terminal for it, say what would never end: that no worker is there, or serves them.
     """
     from sms_jobs.cli.bars import job_bar
 
     with job_bar() as bar:
         task = bar.add_task("jobs", total=None, pace="")
         said: set[str] = set()
+        there_at = time.monotonic()
 
         def tell(now: Waiting) -> None:
             bar.update(
@@ -35,12 +41,28 @@ def followed() -> Iterator[Callable[[Waiting], None]]:
                 description=now.running or "jobs",
                 pace="" if now.outlook is None else outlook_text(now.outlook),
             )
-            queues = ", ".join(now.outlook.estimate.unserved) if now.outlook is not None else ""
-            if bar.disable and queues and queues not in said:
-                said.add(queues)
-                output.say(f"waiting, with no end in sight: no worker serves the queue {queues}")
+            if now.outlook is None or not bar.disable:
+                return
+            nonlocal there_at
+            estimate = now.outlook.estimate
+            if estimate.alive:
+                there_at = time.monotonic()
+            late = time.monotonic() - there_at >= _STARTS_WITHIN_S
+            why = _unserved(estimate) or (_NO_WORKER if late else "")
+            if why and why not in said:
+                said.add(why)
+                output.say(f"waiting, with no end in sight: {why}")
 
         yield tell
+
+
+_NO_WORKER = "no worker is there: start one with 'sms up'"
+
+
+def _unserved(estimate: Estimate) -> str:
+    """Say which queues no worker serves, and what to do; nothing where each is served."""
+    queues = ", ".join(estimate.unserved)
+    return queues and f"no worker serves the queue {queues}: start 'sms up', for a rig on its host"
 
 
 def as_json(outlook: Outlook) -> dict[str, Any]:
@@ -56,16 +78,15 @@ def outlook_text(outlook: Outlook) -> str:
 
 def estimate_text(estimate: Estimate, now: datetime) -> str:
     """Say when jobs will have ended, and what that depends on."""
-    one = "worker" if estimate.workers == 1 else "workers"
-    where = f"on {estimate.workers} {one}" + ("" if estimate.alive else " once 'sms up' runs")
+    where = f"on {number_of(estimate.workers, 'worker')}" + ("" if estimate.alive else " once 'sms up' runs")
     new = ", ".join(f"{kind} ({count})" for kind, count in estimate.unknown.items())
     if estimate.jobs and estimate.reused == estimate.jobs:
         return f"nothing has to be computed: {estimate.jobs} of {estimate.jobs} are reused"
     if estimate.unserved:
-        say = f"no end in sight: no worker serves the queue {', '.join(estimate.unserved)}"
+        say = f"no end in sight: {_unserved(estimate)}"
     elif estimate.seconds is None or estimate.ready_at is None:
         say = f"no estimate: there is no history yet of {new}"
-        say += "" if estimate.alive else "; no worker is there: start one with 'sms up'"
+        say += "" if estimate.alive else f"; {_NO_WORKER}"
     else:
         span = duration(estimate.seconds)
         ready = clock(estimate.ready_at, now)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import PurePosixPath
@@ -134,18 +134,39 @@ def read_manifest(text: str) -> dict[str, str]:
         A line is none of a manifest, names a path that is not inside the payload, or one that was named.
     """
     listed: dict[str, str] = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        found = _LINE.fullmatch(line)
-        if found is None:
-            raise InvalidInput(f"line {number} of {MANIFEST} is not a checksum and a path; export it again")
-        path = re.sub("%(?:25|0A|0D)", lambda escaped: _ESCAPED[escaped[0]], found[2])
+    for where, path, sha256 in _lines(text, MANIFEST):
         parts = PurePosixPath(path).parts
         if parts[0] != PAYLOAD or len(parts) < 2 or ".." in parts or "\0" in path or "\\" in path:
-            raise InvalidInput(f"'{path}' in line {number} of {MANIFEST} is not a path inside {PAYLOAD}")
+            raise InvalidInput(f"'{path}' in {where} is not a path inside {PAYLOAD}")
         if path in listed or path != "/".join(parts):
-            raise InvalidInput(f"'{path}' in line {number} of {MANIFEST} is named twice")
-        listed[path] = found[1].lower()
+            raise InvalidInput(f"'{path}' in {where} is named twice")
+        listed[path] = sha256
     return listed
+
+
+def read_tag_manifest(text: str) -> dict[str, str]:
+    """Return the SHA-256 of every file beside the payload that a tag manifest lists.
+
+    Raises `InvalidInput` for a line that is none of a manifest, or names no file beside the payload.
+    """
+    listed: dict[str, str] = {}
+    for where, path, sha256 in _lines(text, TAG_MANIFEST):
+        parts = PurePosixPath(path).parts
+        if not parts or parts[0] in (PAYLOAD, "/") or ".." in parts or "\0" in path or "\\" in path:
+            raise InvalidInput(f"'{path}' in {where} is not a file beside {PAYLOAD}")
+        listed[path] = sha256
+    return listed
+
+
+def _lines(text: str, manifest: str) -> Iterator[tuple[str, str, str]]:
+    """Yield of each line of a manifest where it is, its path and its SHA-256."""
+    for number, line in enumerate(text.splitlines(), 1):
+        where = f"line {number} of {manifest}"
+        found = _LINE.fullmatch(line)
+        if found is None:
+            raise InvalidInput(f"{where} is not a checksum and a path; export it again")
+        path = re.sub("%(?:25|0A|0D)", lambda escaped: _ESCAPED[escaped[0]], found[2])
+        yield where, path, found[1].lower()
 
 
 def as_text(document: Mapping[str, Any]) -> str:

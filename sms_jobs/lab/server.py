@@ -237,7 +237,7 @@ def _of_frame(campaign: str) -> str:
 
 def _frame(told: dict[str, Any]) -> FrameOf:
     frame = None if told["frame"] is None else _FRAME.validate_python(told["frame"])
-    return FrameOf(told["campaign"], frame, told["of_scene"], told["stale"])
+    return FrameOf(told["campaign"], frame, told["of_scene"], told["in_image"], told["stale"])
 
 
 def _page(told: dict[str, Any]) -> Page:

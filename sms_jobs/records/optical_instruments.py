@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Protocol
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.bursts import Burst, PulseTrain
@@ -77,6 +77,22 @@ class OpticalInstrument:
 
     def __post_init__(self) -> None:
         _check_size(self.name, self.columns, self.rows)
+
+
+class ImageFormat(Protocol):
+    """A sensor, and the size of its image, as a plan describes it."""
+
+    @property
+    def name(self) -> str:
+        """Return its name."""
+
+    @property
+    def columns(self) -> int:
+        """Return how many columns its image has."""
+
+    @property
+    def rows(self) -> int:
+        """Return how many rows its image has."""
 
 
 @dataclass(frozen=True)
@@ -276,6 +292,25 @@ class RigFile:
 
     def _pulse_train(self, projector: str) -> PulseTrain | None:
         return next((p.pulse_train for p in self.projectors if p.name == projector), None)
+
+    def lacking(self, sensors: Iterable[str], planned: Iterable[ImageFormat]) -> list[str]:
+        """Say which of some sensors it has not, and which have another image than is planned."""
+        sizes = {one.name: (one.columns, one.rows) for one in (*self.cameras, *self.projectors)}
+        expected = {one.name: (one.columns, one.rows) for one in planned}
+        names = dict.fromkeys(sensors)
+        there = ", ".join(sizes) or "none"
+        missing = [
+            f"the file of rig {self.name} has no {name}; it has {there}"
+            for name in names
+            if name not in sizes
+        ]
+        differing = [
+            f"{name} has {sizes[name][0]} x {sizes[name][1]} px in the file of rig {self.name}, and "
+            f"{expected[name][0]} x {expected[name][1]} px in the plan: correct one of them"
+            for name in names
+            if name in sizes and sizes[name] != expected.get(name, sizes[name])
+        ]
+        return [*missing, *differing]
 
     @property
     def sensors(self) -> tuple[str, ...]:

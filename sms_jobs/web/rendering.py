@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from sms_jobs.records.job import SHORT_ID
 from sms_jobs.records.plain import plain
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 
 NOTHING = "–"
 _STATES = {
@@ -54,6 +54,7 @@ def _environment() -> Environment:
         "when": when,
         "bytes": lambda count: NOTHING if count is None else size(count),
         "number": number,
+        "number_of": number_of,
         "duration": duration,
         "short": lambda job: job[:SHORT_ID],
         "state": state,

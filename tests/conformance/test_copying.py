@@ -124,7 +124,7 @@ def test_what_is_not_empty_is_refused_and_kept(lived_in: Catalogue, other: Catal
     with other.writing() as session:
         session.add(QueueRow(name="cpu", paused_at=None, reason="", for_room=False))
     before = rows(other)
-    with pytest.raises(Conflict, match="not empty: it has 1 rows in 'queue'"):
+    with pytest.raises(Conflict, match="not empty: it has 1 row in 'queue'"):
         copy(lived_in, other)
     assert rows(other) == before
 
@@ -163,8 +163,8 @@ def test_a_copy_that_is_broken_off_leaves_nothing(lived_in: Catalogue, other: Ca
     ("draining", "age_s", "running", "says"),
     [
         (False, 10, False, "the service runs: worker w1"),
-        (False, 100, True, "1 jobs are running"),
-        (True, 10, True, "1 jobs are running"),
+        (False, 100, True, "have 1 job running"),
+        (True, 10, True, "have 1 job running"),
         (False, 100, False, ""),
         (True, 10, False, ""),
     ],

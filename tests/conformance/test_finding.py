@@ -410,6 +410,19 @@ def test_every_format_tells_the_same(home: Path, capsys: pytest.CaptureFixture[s
     ):
         with pytest.raises(InvalidInput):
             run(capsys, *refused, *at)
+    for refused, said in (
+        (("find", "--columns", "file,nothing"), "in `columns`, nothing is called 'nothing'; "),
+        (("find", "--columns", "file,load"), "in `columns`, 'load' needs a unit: write load_N or load_kN or"),
+        (
+            ("states", "--columns", "lode_n"),
+            "in `columns`, nothing is called 'lode_n'; did you mean 'load_n'",
+        ),
+        (("states", "--columns", "sensor.x"), "in `columns`, 'sensor.' has no meaning; there are statistic."),
+    ):
+        with pytest.raises(InvalidInput) as told_why:
+            run(capsys, *refused, *at)
+        assert str(told_why.value).startswith(said)
+        assert "of the query" not in str(told_why.value)
 
 
 def test_parquet_keeps_types(tmp_path: Path) -> None:

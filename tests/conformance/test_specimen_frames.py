@@ -12,6 +12,7 @@ import pytest
 from support.archives import PLAN, Clock, rebuilt, registered, run_jobs, work_again
 from support.command import inside
 from support.deployments import Deployment
+from support.sessions import small_session
 
 from sms_jobs import bootstrap
 from sms_jobs.app.holdings import reading
@@ -179,10 +180,22 @@ def test_a_camera_alone_has_no_shape_to_find_a_frame_on(
 ) -> None:
     calibration, campaign = small_plate("plate")
     register_campaign(catalogue, archive, replace(campaign, views=("C1",)), calibration, clock(), PLAN)
-    told = frame(deployment, *POINTS, code=2).stderr
-    assert (
-        "campaign plate has no shape on which a frame could be found: by C1 it measures in the plane" in told
+    for points in (POINTS, ("--origin", "0,0,0", "--x", "9,1,0", "--plane", "0,5,0")):
+        told = frame(deployment, *points, code=2).stderr
+        assert "plate has no shape on which a frame could be found: by C1 it measures in the plane" in told
+    assert frame(deployment).stderr == (
+        "campaign plate has no specimen frame, and none can be found: its cameras measure in the plane of "
+        "the image, along whose axes its results lie\n"
     )
+    shown = json.loads(frame(deployment, "--json").stdout)
+    assert (shown["frame"], shown["of_scene"], shown["in_image"]) == (None, False, True)
+
+
+def test_a_calibration_session_has_no_specimen(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    register_campaign(catalogue, archive, small_session("plate"), None, clock(), PLAN)
+    assert "plate is a calibration session, which has no specimen" in frame(deployment, code=2).stderr
 
 
 def test_a_campaign_without_a_surface_says_what_is_missing(

@@ -106,7 +106,8 @@ def test_who_waits_for_a_rig_that_nobody_has_is_told(plate: Path) -> None:
     waited = inside("job", "wait", job, "--timeout", "2", "--home", str(plate))
     assert waited.returncode == 124
     rig = run(plate, "campaign", "show", "plate")["campaign"]["rig"]
-    assert waited.stderr.count(f"waiting, with no end in sight: no worker serves the queue rig-{rig}\n") == 1
+    said = f"no worker serves the queue rig-{rig}: start 'sms up', for a rig on its host\n"
+    assert waited.stderr.count(f"waiting, with no end in sight: {said}") == 1
 
 
 def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path) -> None:

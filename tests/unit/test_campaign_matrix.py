@@ -18,6 +18,7 @@ from support.statements import heard
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
+from sms_jobs.app.specimens import campaign_matrix
 from sms_jobs.app.work import jobs
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
@@ -29,6 +30,7 @@ from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.job import JobState
+from sms_jobs.records.shown.cells import Cell
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 FAILED = "no texture: <b>0</b> matches of 900, and 50 are needed; light the specimen"
@@ -93,6 +95,25 @@ def test_a_command_and_a_program_are_told_the_same(services: Services, client: h
     assert (failed["condition"], failed["why"], failed["pictured"]) == ("failed", FAILED, False)
     waits = cells["correlate", "S01", "C1P2"]
     assert (waits["condition"], waits["why"]) == ("waiting", "")
+
+
+def test_cells_are_shown_by_state_and_view_and_not_as_they_came(services: Services) -> None:
+    _, plate = small_plate("plate")
+    home = str(services.settings.home)
+    shown = CliRunner().invoke(command.app, ["matrix", "plate", "--home", home, "--json"])
+    places = [(cell["state"], cell["view"]) for cell in json.loads(shown.stdout)]
+    each = [(s.label, view) for s in plate.states for view in (*plate.views, None)]
+    assert list(dict.fromkeys(places)) == [*each, (None, None)]
+    came = [
+        Cell(state, view, kind, "computed", None, "", None, "", False)
+        for kind in ("measurement", "reconstruct")
+        for state, view in (("S01", "C10P1"), ("S01", None), (None, None), ("S01", "C2P1"), ("S00", "C10P1"))
+    ]
+    assert [(c.state, c.view, c.kind[0]) for c in campaign_matrix.in_order(came, plate)] == [
+        (state, view, kind)
+        for state, view in (("S00", "C10P1"), ("S01", "C2P1"), ("S01", "C10P1"), ("S01", None), (None, None))
+        for kind in "mr"
+    ]
 
 
 def test_the_page_says_why_in_words_that_need_no_mouse(client: httpx2.Client) -> None:

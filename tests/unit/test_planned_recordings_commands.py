@@ -24,7 +24,10 @@ from sms_jobs.virtual_rig.campaigns import small_plate
 RIG = """
 name = "bench"
 cameras = [{ name = "C1", driver = "simulated", columns = 128, rows = 128 }]
-projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 }]
+projectors = [
+    { name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 },
+    { name = "P2", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 },
+]
 file_channels = [
     { name = "load_n", path = "load.csv", column = "load", unit = "kN" },
     { name = "cycles", path = "load.csv", column = "cycles", unit = "1" },
@@ -87,6 +90,26 @@ def test_what_comes_next_is_told_with_what_it_waits_for(services: Services) -> N
     assert "next of wing  S01, waits for load_n" in inside("status", "--home", home).stdout
     assert "held back: S01, S02, S03" in inside("acquire", "plan", "hold", "wing", "--home", home).stderr
     assert [one["status"] for one in answer("status", "--home", home)["planned"]] == ["held"]
+
+
+def test_a_rig_that_lacks_a_sensor_is_refused_before_anything_is_submitted(
+    services: Services, tmp_path: Path
+) -> None:
+    one_projector = "\n".join(line for line in RIG.splitlines() if "P2" not in line)
+    (tmp_path / "lacking.toml").write_text(one_projector.replace("columns = 128", "columns = 64"))
+    services.stations.add(tmp_path / "lacking.toml", replace=True)
+    said = (
+        "error: the file of rig bench has no P2; it has C1, P1; C1 has 64 x 128 px in the file of rig bench, "
+        "and 128 x 128 px in the plan: correct one of them\n"
+    )
+    recording, levels = ("acquire", "run", "wing", "--no-wait"), ("acquire", "plan", *LEVELS)
+    for words in (recording, (*recording, "--key"), ("acquire", "plan", "wing", "--next"), levels):
+        assert refused(services, *words) == (2, said)
+    home = str(services.settings.home)
+    assert answer("job", "list", "--home", home) == []
+    # Of a rig that is connected to another host nothing is known.
+    (services.settings.rig_folder / "bench.toml").unlink()
+    assert len(answer(*recording, "--home", home)["jobs"]) == 4
 
 
 LEVELS = ("wing", "--on", "load_n", "--each", "10kN", "--tolerance", "200N")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from sms_jobs.app.work.waiting import Waiting
 from sms_jobs.cli.output import clock, duration
-from sms_jobs.cli.waiting import estimate_text
-from sms_jobs.records.shown.estimates import Estimate
+from sms_jobs.cli.waiting import estimate_text, followed
+from sms_jobs.records.shown.estimates import Estimate, Outlook
 
 NOW = datetime(2026, 3, 1, 21, 30, tzinfo=UTC)
 KNOWN = Estimate(40, 0, 11_400.0, NOW + timedelta(seconds=11_400), 2, True, {}, (), ())
@@ -47,5 +49,30 @@ def test_an_estimate_says_what_it_rests_on() -> None:
     assert estimate_text(nothing, NOW) == "no estimate: there is no history yet of merge (40)"
     told = estimate_text(replace(nothing, alive=False), NOW)
     assert told.endswith("merge (40); no worker is there: start one with 'sms up'")
-    assert "no worker serves the queue io" in estimate_text(replace(nothing, unserved=("io",)), NOW)
+    assert "no worker serves the queue io: start 'sms up'" in estimate_text(
+        replace(nothing, unserved=("io",)), NOW
+    )
     assert estimate_text(replace(KNOWN, reused=40), NOW) == "nothing has to be computed: 40 of 40 are reused"
+
+
+def test_who_waits_without_a_terminal_is_told_what_would_never_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    passed_s = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: passed_s)
+
+    def looks(estimate: Estimate) -> str:
+        tell(Waiting({"queued": 40}, 40, "", Outlook(None, estimate)))
+        return capsys.readouterr().err
+
+    nobody = replace(KNOWN, alive=False)
+    told = "waiting, with no end in sight: no worker is there: start one with 'sms up'\n"
+    with followed() as tell:
+        assert looks(nobody) == ""  # it may be about to start
+        passed_s += 9.0
+        assert (looks(nobody), looks(KNOWN)) == ("", "")
+        passed_s += 9.0
+        assert looks(nobody) == ""
+        passed_s += 1.0
+        assert (looks(nobody), looks(nobody)) == (told, "")
+        assert "no worker serves the queue io: start 'sms up'" in looks(replace(nobody, unserved=("io",)))

@@ -48,6 +48,15 @@ class Gauges:
         differences = [r.difference for r in self.rows if r.difference is not None]
         return (len(differences), float(np.sqrt(np.mean(np.square(differences))))) if differences else None
 
+    @property
+    def unread(self) -> dict[tuple[str, str], tuple[str, ...]]:
+        """The states at which a gauge of a view reads nothing, by both."""
+        found: dict[tuple[str, str], tuple[str, ...]] = {}
+        for row in self.rows:
+            if row.virtual is None:
+                found[row.gauge, row.view] = (*found.get((row.gauge, row.view), ()), row.state)
+        return found
+
     def drawn(self) -> bytes:
         """Return a chart over the states as PNG."""
         from sms_jobs.formats.profiles import draw_gauges

@@ -113,7 +113,7 @@ def check(folder: Path, tell: Tell = nobody) -> CheckedFolder:
     total, size = unpacking.size_of(folder, manifest), 0
     faults = []
     for one in unpacking.check(folder, manifest):
-        size += one.size_bytes
+        size += one.size_bytes if one.path in manifest else 0
         tell(Step("checking", size, total))
         if one.fault is not None:
             faults.append(one)

@@ -24,6 +24,7 @@ from sms_jobs.jobs.planning.submission import Terms, submit_to
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import ErrorsOf, of_errors
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 from sms_jobs.virtual_rig.sessions import calibration_session
@@ -72,7 +73,7 @@ def run(
     recording = _submit(services, test.name, [Request("simulate")])
     count = len(calibrating) + len(recording)
     say(
-        f"calibrating the rig and recording {test.name}: {count} jobs; the service's log is in "
+        f"calibrating the rig and recording {test.name}: {number_of(count, 'job')}; the service's log is in "
         f"{services.settings.log_folder}"
     )
     _succeed(services, [*calibrating, *recording], tell)
@@ -80,7 +81,7 @@ def run(
         services.catalogue, services.archive, session.name, None, datetime.now(UTC)
     )
     measuring = _submit(services, test.name, [Request(PIPELINE)])
-    say(f"calibration {number} is in use; measuring with it: {len(measuring)} jobs")
+    say(f"calibration {number} is in use; measuring with it: {number_of(len(measuring), 'job')}")
     _succeed(services, measuring, tell)
     all_jobs = chosen.by_ids([*calibrating, *recording, *measuring])
     known = calibrations.known_calibration(services.catalogue, services.archive, number)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, TypeAlias
 
+from sms_jobs.app.measuring.recordings import lacking, refuse_lacking
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
@@ -129,7 +130,8 @@ def plan(
     InvalidInput
         The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
         not say what the channel reads at a state; what is waited for does not fit channel or states; or there
-        are cameras alone to look at, and nobody knows the size of a pixel.
+        are cameras alone to look at, and nobody knows the size of a pixel; or the rig lacks what the states
+        are recorded with.
     """
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs.recording import due_recordings
@@ -140,6 +142,8 @@ def plan(
         defined = definition(campaign_row(session, campaign))
         due_recordings.refuse_session(defined)
         left = () if isinstance(when, AtLevels) else due_recordings.plannable(session, campaign, states)
+    views = [view for state in left for view in defined.recordings_at(state.label)]
+    refuse_lacking(lacking(services, defined, views or defined.recordings))
     if look.enabled:
         _require_looked_at(defined, look.stop_if)
     if isinstance(when, AtLevels):

@@ -11,7 +11,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.errors import Conflict
+from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.asking.campaign_progress import progress_of
 from sms_jobs.jobs.planning.chosen import Chosen, by_ids, submitted
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
@@ -39,10 +39,13 @@ class Plan:
         As it is defined.
     states
         Those that were asked for.
+    lacking
+        What the rig lacks for them, if it is connected to this host.
     """
 
     campaign: Campaign
     states: tuple[LoadState, ...]
+    lacking: tuple[str, ...] = ()
 
     def turns(self, *, at_key: bool = False) -> list[Turn]:
         """Return the states that are recorded one after the other without a person.
@@ -58,13 +61,37 @@ def plan(services: Services, campaign: str, states: Sequence[str] = (), *, missi
 
     Raises `NotFound` where there is no such campaign or state.
     """
+    return _plan(services, campaign, states, missing=missing)
+
+
+def _plan(services: Services, campaign: str, states: Sequence[str], *, missing: bool = False) -> Plan:
     with services.catalogue.reading() as session:
         found = definition(campaign_row(session, campaign))
         chosen = [found.state(label) for label in states] or list(found.states)
         if missing:
             left = {s.label for s in recordings.unrecorded(session, campaign)}
             chosen = [s for s in chosen if s.label in left]
-    return Plan(found, tuple(chosen))
+    views = [view for state in chosen for view in found.recordings_at(state.label)]
+    return Plan(found, tuple(chosen), lacking(services, found, views))
+
+
+def lacking(services: Services, campaign: Campaign, views: Sequence[str]) -> tuple[str, ...]:
+    """Say what the rig of a campaign lacks to record some views.
+
+    Nothing is known of a rig that is connected to another host.
+    """
+    if not views or campaign.rig not in services.stations.names():
+        return ()
+    # Which loads the kinds; nothing else here needs them.
+    from sms_jobs.jobs.recording.lacking import lacking
+
+    return tuple(lacking(services.stations.rig(campaign.rig), campaign, views))
+
+
+def refuse_lacking(lacking: Sequence[str]) -> None:
+    """Raise `InvalidInput` where a rig lacks something."""
+    if lacking:
+        raise InvalidInput("; ".join(lacking))
 
 
 @use_case(Right.READ)
@@ -104,7 +131,15 @@ def record(
         Ask an operator about a doubtful set instead of keeping it.
     process
         Process each state as soon as it is recorded.
+
+    Raises
+    ------
+    NotFound
+        There is no such campaign or state.
+    InvalidInput
+        The rig lacks what they are recorded with.
     """
+    refuse_lacking(_plan(services, campaign, states).lacking)
     requests = recordings.requests(states, ask=ask, process=process)
     now, terms = datetime.now(UTC), Terms(by=services.actor.name)
     done = submit_to(services.catalogue, campaign, requests, now, terms)

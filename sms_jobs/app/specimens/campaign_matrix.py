@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -11,6 +12,24 @@ from sms_jobs.catalogue.campaigns import campaign_row, state_ids
 from sms_jobs.errors import NotFound
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.cells import Cell
+from sms_jobs.records.views import place_of, view_of
+
+if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
+
+
+def in_order(cells: Iterable[Cell], campaign: Campaign) -> list[Cell]:
+    """Return cells by the campaign's states, then by views, camera before partners; of each the oldest first.
+
+    Behind the tuples of a state comes what is about all of it, and at the end what is about the campaign.
+    """
+    states = {state.label: number for number, state in enumerate(campaign.states)}
+
+    def place(cell: Cell) -> tuple[int, bool, list[tuple[int, int]]]:
+        view = [] if cell.view is None else [place_of(name) for name in view_of(cell.view).sensors]
+        return states.get(cell.state or "", len(states)), cell.view is None, view
+
+    return sorted(cells, key=place)
 
 
 @use_case(Right.READ)

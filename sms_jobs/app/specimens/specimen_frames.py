@@ -35,6 +35,9 @@ class FrameOf:
         As it was found; None where nobody has.
     of_scene
         Whether, where nobody has, the scene of the virtual rig says where it lies.
+    in_image
+        Whether there can be none: cameras alone measure in the plane of their images, along whose axes
+        results lie.
     stale
         How many results lie along other axes now, by kind.
     """
@@ -42,21 +45,28 @@ class FrameOf:
     campaign: str
     frame: SpecimenFrame | None
     of_scene: bool
+    in_image: bool
     stale: dict[str, int]
 
 
 @use_case(Right.READ)
 def show(services: Services, name: str) -> FrameOf:
-    """Return the specimen frame of a campaign; raises `NotFound` where there is none of that name."""
+    """Return the specimen frame of a campaign.
+
+    Raises `NotFound` where there is none of that name, and `InvalidInput` for a calibration session.
+    """
     from sms_jobs.jobs.asking.campaign_matrix import matrix
 
     with services.catalogue.reading() as session:
         row = campaign_rows.campaign_row(session, name)
         campaign = campaign_rows.definition(row)
+        _refuse_session(campaign)
         cells = matrix(session, row, datetime.now(UTC))
     stale = [cell.kind for cell in cells if cell.condition == "stale" and cell.kind in _FOLLOW]
     counts = {kind: stale.count(kind) for kind in _FOLLOW if kind in stale}
-    return FrameOf(name, campaign.frame, campaign.frame is None and campaign.scene is not None, counts)
+    in_image = campaign.frame is None and not campaign.shape_views
+    of_scene = campaign.frame is None and not in_image and campaign.scene is not None
+    return FrameOf(name, campaign.frame, of_scene, in_image, counts)
 
 
 @use_case(Right.COMPUTE)
@@ -70,7 +80,7 @@ def find(services: Services, name: str, choice: Choice) -> FrameOf:
     NotFound
         There is no such campaign, or the reference surface of the view has not been computed.
     InvalidInput
-        The points or the region tell no frame, or it is a calibration session.
+        The points or the region tell no frame, it is a calibration session, or no view measures shape.
     Conflict
         The campaign is changed by somebody else just now.
     """
@@ -78,6 +88,11 @@ def find(services: Services, name: str, choice: Choice) -> FrameOf:
     from sms_jobs.app.specimens import frame_finding
 
     before = _test(services, name)
+    if not before.shape_views:
+        raise InvalidInput(
+            f"campaign {name} has no shape on which a frame could be found: by {', '.join(before.views)} it "
+            "measures in the plane of the image, along whose axes its results lie"
+        )
     if in_world(choice):
         frame = frame_finding.through_world_points(choice)
     else:
@@ -106,9 +121,13 @@ def drop(services: Services, name: str) -> FrameOf:
 
 def _test(services: Services, name: str) -> Campaign:
     campaign = campaigns.definition(services, name)
-    if campaign.session is not None:
-        raise InvalidInput(f"{name} is a calibration session, which has no specimen; choose a test")
+    _refuse_session(campaign)
     return campaign
+
+
+def _refuse_session(campaign: Campaign) -> None:
+    if campaign.session is not None:
+        raise InvalidInput(f"{campaign.name} is a calibration session, which has no specimen; choose a test")
 
 
 def _amend(services: Services, before: Campaign, after: Campaign) -> None:
@@ -125,12 +144,6 @@ def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> Speci
     from sms_jobs.kinds.calibration_factors import known_view
     from sms_jobs.kinds.products import CALIBRATION_FACTOR, SURFACE
 
-    if not campaign.shape_views:
-        raise InvalidInput(
-            f"campaign {campaign.name} has no shape on which a frame could be found: by "
-            f"{', '.join(campaign.views)} it measures in the plane of the image, along whose axes its "
-            "results lie"
-        )
     view = choice.view or campaign.shape_views[0]
     if view not in campaign.shape_views:
         raise InvalidInput(

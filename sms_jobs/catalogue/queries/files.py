@@ -16,6 +16,7 @@ from sms_jobs.catalogue import search
 from sms_jobs.catalogue.queries.conditions import Conditions
 from sms_jobs.catalogue.queries.fields import Fields, Vocabulary
 from sms_jobs.catalogue.queries.language import (
+    A_COLUMN,
     UNWRITTEN,
     AllOf,
     Comparison,
@@ -155,7 +156,7 @@ def _few(session: Session, sources: Sequence[Select[int]]) -> tuple[Select[int],
 def _asked(fields: Fields, query: Query, columns: Sequence[str] | None) -> dict[str, Field]:
     """Return what to show of each file: the columns that were asked for, or what the query compares."""
     if columns is not None:
-        return {c: fields.field(Name(c, 0), c) for c in columns}
+        return {c: fields.field(Name(c, A_COLUMN), c) for c in columns}
     tests = [test for test in comparisons(query.condition) if test.name.at != UNWRITTEN]
     compared = [fields.tested(test, query.text) for test in tests]
     # A calibration that a query compares stands in the query itself.

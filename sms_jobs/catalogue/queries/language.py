@@ -29,6 +29,8 @@ DEEPEST = 50
 """How many parentheses and negations may lie in each other."""
 UNWRITTEN = -1
 """The place of what stands in no text, but was asked for by an option."""
+A_COLUMN = -2
+"""The place of a name that is no part of a query: what is to be shown."""
 
 
 class Operator(Enum):
@@ -128,6 +130,8 @@ def refuse(text: str, at: int, why: str) -> NoReturn:
     """Raise `InvalidInput` that quotes the text around a place, and points at it."""
     if at == UNWRITTEN:
         raise InvalidInput(why)
+    if at == A_COLUMN:
+        raise InvalidInput(f"in `columns`, {why}")
     first, last = max(0, at - 40), at + 40
     before = ("..." if first else "") + text[first:at]
     after = text[at:last] + ("..." if last < len(text) else "")

@@ -9,7 +9,7 @@ from typing import Any, Literal, NoReturn, TypeAlias
 
 from sqlalchemy import ColumnElement, Select
 
-from sms_jobs.catalogue.queries.language import Between, Name, Test, refuse, values_of
+from sms_jobs.catalogue.queries.language import A_COLUMN, Between, Name, Test, refuse, values_of
 from sms_jobs.catalogue.queries.quantities import UNITS, in_other_units, size_in, without_unit
 
 Type: TypeAlias = Literal["number", "text", "time", "prefix", "campaign", "calibration", "parameter"]
@@ -98,7 +98,8 @@ class Resolver:
         if found.needs_unit:
             stem, units = without_unit(found.stored)
             also = " or ".join(f"{stem}_{unit}" for unit in units)
-            refuse(text, name.at, f"'{name.text}' needs a unit: write it behind the number, or {also}")
+            how = f"write {also}" if name.at == A_COLUMN else f"write it behind the number, or {also}"
+            refuse(text, name.at, f"'{name.text}' needs a unit: {how}")
         return found
 
     def tested(self, part: Test, text: str) -> Field:

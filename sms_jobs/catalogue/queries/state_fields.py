@@ -17,7 +17,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.queries.fields import different, file_fields
-from sms_jobs.catalogue.queries.language import Name, Query, Test, refuse
+from sms_jobs.catalogue.queries.language import A_COLUMN, Name, Query, Test, refuse
 from sms_jobs.catalogue.queries.names import Field, Resolver, Type, built_in, listed, stored_name
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ReadingRow, StatisticRow
 
@@ -130,8 +130,8 @@ class StateFields:
 
     def column(self, name: str) -> StateField:
         """Return what a column is to tell; raises as `Resolver.field` does."""
-        self._refuse_others(Name(name, 0), name)
-        return self._of(self._resolver.field(Name(name, 0), name))
+        self._refuse_others(Name(name, A_COLUMN), name)
+        return self._of(self._resolver.field(Name(name, A_COLUMN), name))
 
     def kinds(self) -> tuple[str, ...]:
         """Return the kinds that files are of."""

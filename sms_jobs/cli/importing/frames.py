@@ -27,6 +27,7 @@ from sms_jobs.cli.importing.options import (
 from sms_jobs.cli.importing.outcomes import MOST_SHOWN, confirm, tell_outcome, time_given
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
     from sms_jobs.app.importing.frames import Arranged, Task
@@ -204,7 +205,8 @@ def _preview(found: Arranged) -> None:
     count, each = len(found.arrangement.tuples), len(found.layout.roles)
     output.say(f"pattern   {found.layout.pattern.text}")
     output.say(f"fringes   {found.fringes}")
-    output.say(f"tuples    {count}, of {each} frames each, from {len(found.guessed.listing.files)} files")
+    files = number_of(len(found.guessed.listing.files), "file")
+    output.say(f"tuples    {count}, of {number_of(each, 'frame')} each, from {files}")
     example = found.example
     if example is not None:
         output.say(f"frames of {example.state}/{example.view}:")

@@ -14,6 +14,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.importing.options import CampaignName
 from sms_jobs.cli.importing.outcomes import confirm
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
     from sms_jobs.app.importing.readings import Arranged
@@ -139,6 +140,7 @@ def _tell(entered: Arranged, campaign: str, dry_run: bool, as_json: bool) -> Non
         end = f"campaign {campaign} is brought up to date"
         if dry_run or not entered.changes:
             end = "nothing was changed"
-        output.say(f"{len(entered.changes)} values of {len(entered.readings)} states; {end}")
+        values, states = number_of(len(entered.changes), "value"), number_of(len(entered.readings), "state")
+        output.say(f"{values} of {states}; {end}")
     if not entered.readings:
         raise typer.Exit(_FINDINGS)

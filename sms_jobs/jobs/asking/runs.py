@@ -23,6 +23,7 @@ from sms_jobs.catalogue.tables.runs import RunJobRow, RunRow, RunSubmissionRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.records.shown.runs import RunResult, RunStory, RunView
+from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
     from sms_jobs.jobs.planning.submission import Submission
@@ -200,7 +201,10 @@ def keep(session: Session, name: str, reason: str, now: datetime) -> None:
         .where(RunJobRow.run_id == row.id, JobRow.state.in_(ACTIVE))
     )
     if active:
-        raise Conflict(f"{active} jobs of run '{name}' have not ended; wait for them, or cancel them first")
+        verb = "has" if active == 1 else "have"
+        raise Conflict(
+            f"{number_of(active, 'job')} of run '{name}' {verb} not ended; wait, or cancel what is left first"
+        )
     row.kept_at, row.reason = now, reason
     # Locked, so that nobody lets them go before this is committed.
     session.scalars(_kept_files(row.id).with_for_update(read=True, key_share=True, of=FileRow)).all()

@@ -67,10 +67,20 @@ def manifest_of(folder: Path) -> dict[str, str]:
             f"{folder} is no exported folder with a {crate.MANIFEST}; make one with "
             "'sms data pack', and let that come to its end"
         )
+    return crate.read_manifest(_text(file))
+
+
+def _tags_of(folder: Path) -> dict[str, str]:
+    """Return the checksums of what describes a portable folder; a bag need not have them."""
+    file = folder / crate.TAG_MANIFEST
+    return crate.read_tag_manifest(_text(file)) if file.is_file() else {}
+
+
+def _text(file: Path) -> str:
     if file.stat().st_size > _LARGEST_MANIFEST_BYTES:
         raise InvalidInput(f"{file} has more than {_LARGEST_MANIFEST_BYTES >> 20} MiB; export it in parts")
     try:
-        return crate.read_manifest(file.read_text(encoding="utf-8"))
+        return file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise InvalidInput(f"{file} is not UTF-8 text; export it again") from error
 
@@ -81,9 +91,12 @@ def size_of(folder: Path, manifest: Mapping[str, str]) -> int:
 
 
 def check(folder: Path, manifest: Mapping[str, str]) -> Iterator[CheckedFile]:
-    """Read every file of a portable folder and compare it with the manifest."""
+    """Read every file of a portable folder and compare it with the manifest.
+
+    What describes the folder, such as its `bag-info.txt`, is compared with the tag manifest, if it has one.
+    """
     root = folder.resolve()
-    for path, sha256 in sorted(manifest.items()):
+    for path, sha256 in sorted([*_tags_of(folder).items(), *manifest.items()]):
         file = folder / path
         if not os.path.lexists(file):
             yield CheckedFile(path, 0, "missing")

@@ -15,11 +15,11 @@ from sms_jobs.archive import Archive
 from sms_jobs.catalogue.campaigns import definition
 from sms_jobs.catalogue.models import CampaignRow, JobRow, RigRow
 from sms_jobs.catalogue.tables.files import FileRow
-from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse, ways
 from sms_jobs.jobs.devices.disks import free_bytes
+from sms_jobs.jobs.recording.lacking import lacking
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.kinds.recording.adaptation import QUICK
@@ -53,7 +53,7 @@ def dry_run(
         The folder and the archive whose disks are to hold the frames.
     """
     parameters = KIND.checked_parameters(campaign.processing.get(KIND.name, {}))
-    missing = [*_missing_sensors(rig, campaign), *_missing_channels(rig, parameters)]
+    missing = lacking(rig, campaign, campaign.recordings)
     rehearsed: dict[str, StateRehearsal] = {}
     shown: dict[str, str] = {}
     if not missing:
@@ -97,31 +97,6 @@ def dry_run(
 def _pose(state: LoadState) -> StagePose | None:
     angles = stage_angles(state)
     return None if angles is None else StagePose(*angles)
-
-
-def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
-    """Tell which sensors the rig lacks, or has with another size."""
-    sizes = {c.name: (c.columns, c.rows) for c in rig.cameras}
-    sizes |= {p.name: (p.columns, p.rows) for p in rig.projectors}
-    names = dict.fromkeys(name for view in campaign.recordings for name in view_of(view).sensors)
-    for name in names:
-        if name not in sizes:
-            yield f"the file of rig {rig.name} has no {name}; it has {', '.join(sizes) or 'none'}"
-    expected = () if campaign.session is None else campaign.session.sensors
-    for sensor in expected:
-        found = sizes.get(sensor.name)
-        if found is not None and found != (sensor.columns, sensor.rows):
-            yield (
-                f"{sensor.name} has {found[0]} x {found[1]} px in the file of rig {rig.name}, and "
-                f"{sensor.columns} x {sensor.rows} px in the plan: correct one of them"
-            )
-
-
-def _missing_channels(rig: RigFile, parameters: AcquireParameters) -> Iterator[str]:
-    try:
-        parameters.limits().require_channels(rig.name, [c.name for c in rig.serial.channels])
-    except InvalidInput as error:
-        yield str(error)
 
 
 def _adapted(parameters: AcquireParameters) -> Iterator[str]:

@@ -86,10 +86,7 @@ def rehearse(
 
 
 def _missing(rig: RigFile, cameras: Sequence[str], parameters: StreamParameters) -> Iterator[str]:
-    known = [camera.name for camera in rig.cameras]
-    for name in cameras:
-        if name not in known:
-            yield f"the file of rig {rig.name} has no {name}; it has {', '.join(known) or 'none'}"
+    yield from rig.lacking(cameras, ())
     try:
         require_exposures(rig, cameras, parameters)
     except InvalidInput as error:

@@ -35,6 +35,7 @@ from sms_jobs.jobs.scheduling.fire_times import (
 from sms_jobs.records.job import ACTIVE
 from sms_jobs.records.shown.notifications import Topic
 from sms_jobs.records.shown.schedules import MOST_A_DAY, FiringsOfDay
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import checked_name
 
 if TYPE_CHECKING:
@@ -417,7 +418,7 @@ def _planned(catalogue: Catalogue, due: _Due, now: datetime) -> tuple[tuple[Draf
     if not drafts:
         return (), f"failed: {refused[0]}", True
     refused += [f"{one.subject}: {one.error}" for made in drafts for one in made.refused]
-    outcome = f"submitted {sum(len(made.jobs) for made in drafts)} jobs"
+    outcome = f"submitted {number_of(sum(len(made.jobs) for made in drafts), 'job')}"
     if refused:
         first, others = refused[0], len(refused) - 1
         subject, _, why = first.partition(": ")

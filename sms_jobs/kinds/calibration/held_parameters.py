@@ -20,6 +20,8 @@ def parted(value: Any) -> Any:
     """Return the names of a text, `k1` or `k2=0,k3`, or none of them; anything else as it is."""
     if isinstance(value, str):
         value = [name.strip() for name in value.split(",") if name.strip()]
+    if not isinstance(value, list | tuple):
+        return value
     return () if list(value) == [NONE] else tuple(value)
 
 

@@ -103,6 +103,11 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
     statistics = {GAUGES_GIVEN: float(len(readings.names)), GAUGES_READ: float(finite.sum())}
     if finite.any():
         statistics["largest_gauge_strain"] = float(readings.strain[finite].max())
+    nothing = [name for name, known in zip(readings.names, finite, strict=True) if not known]
+    if nothing:
+        progress(
+            1.0, f"nothing to read under {', '.join(nothing)}: off the specimen, or too few valid points"
+        )
     yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
 
 

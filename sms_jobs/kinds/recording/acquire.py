@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -52,6 +52,7 @@ from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
     DOUBTS,
     LIT_FRACTION,
@@ -122,6 +123,11 @@ class AcquireParameters(Parameters):
         description="what becomes of a set that does not keep them even so: it is kept and says so, or an "
         "operator is asked while the specimen is still held",
     )
+
+    @field_validator("channels", mode="before")
+    @classmethod
+    def _one_or_several(cls, given: Any) -> Any:
+        return tuple(given.split()) if isinstance(given, str) else given
 
     @field_validator("channels")
     @classmethod
@@ -278,11 +284,15 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             statistics_of(recording)
             | (adaptation_statistics(measurement) if parameters.adaptive != "none" else {}),
         )
-    progress(1.0, "; ".join(doubts) or f"recorded {len(task.views)} views")
+    progress(1.0, "; ".join(doubts) or f"recorded {number_of(len(task.views), 'view')}")
 
 
 def station_of(inputs: Inputs, setting: Setting | None) -> Station:
-    """Return where a job records; raise `InvalidInput` without a rig, or a scene for a simulated one."""
+    """Return where a job records.
+
+    Raises `InvalidInput` without a rig, without a scene for a simulated one, or with one whose images have
+    another size.
+    """
     station = inputs.station
     if station is None:
         raise InvalidInput(
@@ -294,6 +304,11 @@ def station_of(inputs: Inputs, setting: Setting | None) -> Station:
             f"rig {station.rig.name} is simulated, and campaign {inputs.subject.campaign} describes no scene "
             "for it to look at: give its plan a [scene], or name a rig with real sensors"
         )
+    if station.rig.simulated and setting is not None:
+        planned = setting.scene.rig.sensors
+        there = [one.name for one in planned if one.name in station.rig.sensors]
+        if differing := station.rig.lacking(there, planned):
+            raise InvalidInput("; ".join(differing))
     return station
 
 

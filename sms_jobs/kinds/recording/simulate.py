@@ -30,6 +30,7 @@ from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED
 from sms_jobs.records.views import view_of
@@ -141,7 +142,7 @@ def run(inputs: Inputs, parameters: SimulateParameters, progress: Progress) -> I
         measurement = _recorded(rig, task, view, parameters, inputs.threads)
         subject = Subject(inputs.subject.campaign, task.state, view)
         yield DatasetOutput(subject, {MEASURED: measurement}, _statistics(measurement))
-    progress(1.0, f"recorded {len(task.views)} views")
+    progress(1.0, f"recorded {number_of(len(task.views), 'view')}")
 
 
 def _recorded(

@@ -40,6 +40,7 @@ from sms_jobs.records.events import Event
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.records.recording import FramesBetween, Recording
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import SINCE_EVENT_S, SINCE_START_S, of_stream
 from sms_jobs.records.streams import StreamSize, frame_label
 from sms_jobs.records.subject import Subject
@@ -178,7 +179,7 @@ def states_of(
     states = whole[:: parameters.every]
     for number, (moment, following) in enumerate(zip(states, (*states[1:], None), strict=True), start=1):
         label = frame_label(parameters.number, number)
-        progress(number / len(states), f"archiving {label}, of {len(states)} states")
+        progress(number / len(states), f"archiving {label}, of {number_of(len(states), 'state')}")
         for camera, file in kept.files.items():
             after = file.complete if following is None else following.places[camera]
             beside = range(moment.places[camera] + 1, after)

@@ -61,9 +61,9 @@ def _corners(shape: str, words: list[str]) -> Floats:
     """Return the corners of a shape from its numbers."""
     try:
         numbers = np.array([float(word) for word in words])
-    except ValueError as error:
+    except ValueError:
         raise ValueError(
-            f"'{' '.join(words[:8])}' has a word that is no number: {error}; outlines are written as "
+            f"'{' '.join(words[:8])}' has a word that is no number; outlines are written as "
             "'rectangle LEFT TOP RIGHT BOTTOM' or 'polygon X Y X Y X Y', in px"
         ) from None
     if not (np.abs(numbers) <= _LARGEST).all():

@@ -118,7 +118,8 @@ def matrix(
     states: Annotated[list[Text], Query(description="Only of these; of all if not given.")] = [],  # noqa: B006
 ) -> Any:
     """Return what there is of each state, view and kind."""
-    return answer(campaign_matrix.matrix(services, name, states))
+    found = campaign_matrix.matrix(services, name, states)
+    return answer(campaign_matrix.in_order(found, campaigns.definition(services, name)))
 
 
 @ROUTES.offer("POST", "/campaigns/{name}/states", campaigns.add_state, answers=CampaignFacts, status=201)

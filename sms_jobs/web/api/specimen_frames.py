@@ -34,6 +34,7 @@ class FrameAnswer:
     campaign: str
     frame: SpecimenFrame | None
     of_scene: bool
+    in_image: bool
     stale: dict[str, int]
 
 

@@ -310,7 +310,7 @@ function readGauge(view) {
     const read = ({ file }) => asked(`${API}/${file}/gauge`, { gauge: words, part: view.about.part });
     const own = await read(view.about);
     if (late()) return;
-    tell(own.strain === null ? `${words}: fewer than twelve pixels lie under it.`
+    tell(own.strain === null ? `${words} reads nothing: it lies off the specimen, or fewer than twelve valid points lie under it.`
       : `${words}: ${written(1e6 * own.strain, 1e6 * own.sigma)} ± ${written(1e6 * own.sigma, 1e6 * own.sigma)} µε, from ${own.pixels} pixels of ${own.view}. “sms job submit gauges -c ${view.about.campaign} --gauge "${words}"” keeps it.`);
     await chartOverStates(view, `gauge ${words.split(" ")[0]}`, "µε", async (one) => {
       const found = one.file === view.about.file ? own : await read(one);

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from support.homes import initialised
 
+from sms_jobs.app.fields import surface_fields
+from sms_jobs.app.fields.surface_fields import Gauges
+from sms_jobs.cli import surface_places
 from sms_jobs.formats.profiles import GaugeRow, draw_gauges
 from sms_jobs.kinds.deformation import gauges
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
+from sms_jobs.kinds.kind import Inputs
 
 ALONG, ACROSS, AWAY = (
     "along x=5 y=-10 length=40 width=30",
@@ -31,6 +39,36 @@ def test_gauges_read_the_strain_of_the_plate_in_its_own_frame(plate: Any) -> Non
     np.testing.assert_allclose(found.place[:2, :2], [[5.0, -10.0]] * 2, atol=1.0)
     assert np.isnan(found.strain[2])
     assert output.statistics["gauges_read"] == 2.0
+
+
+def test_a_gauge_that_reads_nothing_is_named(plate: Any) -> None:
+    subject, chosen = plate.subject("S01", "C1P1"), GaugesParameters(gauge=(ALONG, AWAY))
+    needs = gauges.KIND.checked_needs(plate.campaign, subject, chosen)
+    inputs = Inputs(
+        subject,
+        gauges.KIND.context(plate.campaign, subject),
+        {need.role: plate.find(need) for need in needs},
+    )
+    said: list[str] = []
+    list(gauges.KIND.run(inputs, chosen, lambda fraction, words: said.append(words)))
+    assert said[-1] == "nothing to read under away: off the specimen, or too few valid points"
+
+
+def test_the_command_says_which_gauges_read_nothing_and_where(
+    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    initialised(home)
+    nothing = [GaugeRow(f"S0{k}", "C1P1", "away", None, None, 0) for k in (1, 2, 3)]
+    found = Gauges(
+        (GaugeRow("S01", "C1P1", "G1", 1e-4, 1e-5, 40), *nothing, replace(nothing[0], view="C2P1"))
+    )
+    monkeypatch.setattr(surface_fields, "gauges", lambda *words, **more: found)
+    surface_places.gauges("plate", home=home)
+    why = "it lies off the specimen, or fewer than twelve valid points lie under it"
+    assert capsys.readouterr().err.splitlines() == [
+        f"gauge away reads nothing in C1P1 at S01 and 2 more: {why}",
+        f"gauge away reads nothing in C2P1 at S01: {why}",
+    ]
 
 
 def test_gauges_are_drawn() -> None:

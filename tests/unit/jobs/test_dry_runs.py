@@ -61,7 +61,9 @@ def tried(
 
 
 def asking_for(*channels: str) -> Campaign:
-    return replace(small_plate("plate")[1], processing={"acquire": {"channels": channels, "recordings": 1}})
+    # Without a scene, whose images are smaller than those of the rig here.
+    processing = {"acquire": {"channels": channels, "recordings": 1}}
+    return replace(small_plate("plate")[1], processing=processing, scene=None)
 
 
 def test_frames_bytes_and_time_follow_from_the_plan(services: Services) -> None:
@@ -107,6 +109,19 @@ def test_what_the_rig_lacks_is_told(services: Services) -> None:
     assert without.missing[0].startswith("S01: rig hall-3 has no stage")
 
 
+def test_simulated_sensors_have_the_images_of_the_scene(services: Services) -> None:
+    camera, one, two = tried(services, small_plate("plate")[1]).missing
+    assert camera == (
+        "C1 has 256 x 256 px in the file of rig hall-3, and 128 x 128 px in the plan: correct one of them"
+    )
+    assert [words.split(" in the file")[0] for words in (one, two)] == [
+        "P1 has 512 x 384 px",
+        "P2 has 512 x 384 px",
+    ]
+    as_it_is = RIG.replace("256, rows = 256", "128, rows = 128").replace("512, rows = 384", "256, rows = 192")
+    assert tried(services, small_plate("plate")[1], as_it_is).missing == ()
+
+
 def test_cameras_without_a_projector_are_recorded_beside_fringes(services: Services) -> None:
     plate = replace(asking_for(), views=("C1P1", "C1P2", "C2C3"))
     lacking, _ = tried(services, plate).missing
@@ -141,7 +156,7 @@ def test_values_that_no_channel_confirms_are_remarked_on(services: Services) -> 
 def test_a_disk_that_is_too_small_is_told(services: Services) -> None:
     # 490 frames of more than 8 GB each: no disk of a test has room for that.
     huge = RIG.replace("columns = 256, rows = 256", "columns = 65535, rows = 65535")
-    done = tried(services, replace(small_plate("plate")[1], processing={}), huge)
+    done = tried(services, replace(asking_for(), processing={}), huge)
     assert [words.split(" has room")[0] for words in done.missing] == [
         "the disk of the spool",
         "the disk of the archive",

@@ -340,6 +340,36 @@ def test_every_change_to_a_folder_is_named(full: Home, tmp_path: Path) -> None:
     assert faults == {lost: "missing", altered: "altered", linked: "no-file", "data/more.txt": "unlisted"}
 
 
+def test_what_describes_a_folder_is_checked_too(full: Home, tmp_path: Path) -> None:
+    folder = tmp_path / "plate"
+    exported(full, folder, PackOptions("plate", ("strain",)))
+
+    def faults() -> dict[str, str]:
+        found = unpacking.check(folder, unpacking.manifest_of(folder))
+        return {one.path: one.fault for one in found if one.fault}
+
+    said = folder / crate.INFORMATION
+    said.write_text(said.read_text().replace("Payload-Oxum: ", "Payload-Oxum: 1"))
+    (folder / crate.DECLARATION).write_text("BagIt-Version: 0.97\n")
+    assert faults() == {crate.INFORMATION: "altered", crate.DECLARATION: "altered"}
+    told = CliRunner().invoke(app, ["data", "check", str(folder)])
+    assert told.exit_code == ArchiveCorrupt.exit_code
+    assert crate.INFORMATION in told.stdout
+    said.unlink()
+    assert faults()[crate.INFORMATION] == "missing"
+    # A bag need not have a tag manifest, and files of a tag folder belong to it.
+    (folder / crate.TAG_MANIFEST).write_text("0" * 64 + "  notes/read.me\n")
+    assert faults() == {"notes/read.me": "missing"}
+    (folder / crate.TAG_MANIFEST).unlink()
+    assert faults() == {}
+
+
+@pytest.mark.parametrize("path", ["data/x", "/etc/passwd", "../x", "a/../../x", "a\\b"])
+def test_a_tag_manifest_names_files_beside_the_payload(path: str) -> None:
+    with pytest.raises(InvalidInput, match=r"line 1 of tagmanifest-sha256\.txt is not a file beside data"):
+        crate.read_tag_manifest("0" * 64 + f"  {path}\n")
+
+
 @pytest.mark.parametrize(
     "line",
     [

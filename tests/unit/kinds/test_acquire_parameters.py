@@ -35,6 +35,11 @@ def test_channels_are_read_and_limited() -> None:
     assert found.channels == {"load_n": 3000.0, "temperature": None, "strain-1": 2.5e-6}
 
 
+def test_a_channel_alone_is_a_text() -> None:
+    chosen = [AcquireParameters(channels=one).channels for one in ("load_n=3000", "load_n t_c", "")]  # type: ignore[arg-type]
+    assert chosen == [("load_n=3000",), ("load_n", "t_c"), ()]
+
+
 def test_spheres_need_not_fill_the_image() -> None:
     session = small_session("session")
     assert order(session, Subject("session", "B01")).fills == 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ from support.gige_camera import ADDRESS, gige_camera
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.rig_configuration import example_rig, parse_rig
+from sms_jobs.instruments.simulated.optics import Setting
 from sms_jobs.jobs.devices.stations import known_sensors
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Station
 from sms_jobs.kinds.recording.acquire import AcquireParameters, Order, run
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.recording import Recording
 from sms_jobs.records.subject import Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 SEQUENCE = FringeSequence((3, 2), 3, (0.0,), (1.0, 2.0))
 ORDER = Order(("C1P1",), SEQUENCE, None, None)
@@ -74,4 +77,16 @@ def test_a_simulated_rig_needs_a_scene(tmp_path: Path) -> None:
     station = Station(parse_rig(example_rig(), "rig.toml"), tmp_path / "spool")
     inputs = Inputs(Subject("panel", "S00"), ORDER, {}, station=station)
     with pytest.raises(InvalidInput, match="rig virtual is simulated, and campaign panel describes no scene"):
+        list(run(inputs, AcquireParameters(), nobody))
+
+
+def test_a_simulated_rig_has_the_images_of_the_scene(tmp_path: Path) -> None:
+    station = Station(parse_rig(example_rig(), "rig.toml"), tmp_path / "spool")
+    scene = small_plate("panel")[1].scene
+    assert scene is not None
+    order = replace(ORDER, setting=Setting(scene, "S00", ()))
+    inputs = Inputs(Subject("panel", "S00"), order, {}, station=station)
+    with pytest.raises(
+        InvalidInput, match=r"C1 has 256 x 256 px in the file of rig virtual, and 128 x 128 px"
+    ):
         list(run(inputs, AcquireParameters(), nobody))

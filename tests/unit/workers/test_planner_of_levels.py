@@ -31,7 +31,10 @@ from sms_jobs.workers.planner import Planner
 RIG = """
 name = "bench"
 cameras = [{ name = "C1", driver = "simulated", columns = 128, rows = 128 }]
-projectors = [{ name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 }]
+projectors = [
+    { name = "P1", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 },
+    { name = "P2", driver = "simulated", columns = 256, rows = 192, settle_ms = 1.0 },
+]
 file_channels = [{ name = "load_n", path = "LOAD", column = "load", unit = "kN" }]
 """
 QUEUE = "rig-bench"

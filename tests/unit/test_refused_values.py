@@ -1,0 +1,53 @@
+"""What a value should be is said in words of people, never in those of what checks it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sms_jobs import settings
+from sms_jobs.errors import ConfigurationError, InvalidInput
+from sms_jobs.kinds import all_kinds
+from sms_jobs.settings import FILE_NAME
+
+_TECHNICAL = re.compile(r"Input|valid|parse|permitted|tuple|validator|convert|fractional|Value error")
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('workers = "a"', "the setting 'workers' .* cannot be used: it should be a whole number$"),
+        ("workers = 1.5", "the setting 'workers' .* cannot be used: it should be a whole number$"),
+        ("workers = 0", "it should be greater than or equal to 1$"),
+        ("database_url = 3", "it should be text$"),
+        ("worker = 3", "there is no setting 'worker' .*; did you mean 'workers'$"),
+        ("entirely = 3", "there is no setting 'entirely' .*; docs/configuration.md has all$"),
+    ],
+)
+def test_a_setting_is_refused_in_words(tmp_path: Path, line: str, told: str) -> None:
+    (tmp_path / FILE_NAME).write_text(line + "\n")
+    with pytest.raises(ConfigurationError, match=told) as refused:
+        settings.load(tmp_path)
+    assert not _TECHNICAL.search(str(refused.value).replace(str(tmp_path), ""))
+
+
+_GIVEN = ("x", "", "-1e9", "1.5", ["a", "b"], True, None, 1.5)
+
+
+@pytest.mark.parametrize("kind", all_kinds())
+def test_every_parameter_of_a_kind_is_refused_in_words(kind: str) -> None:
+    told = [
+        refusal(kind, name, value) for name in all_kinds()[kind].parameters.model_fields for value in _GIVEN
+    ]
+    assert [why for why in told if _TECHNICAL.search(why)] == []
+
+
+def refusal(kind: str, name: str, value: object) -> str:
+    """Return what is said of a value, without the value; nothing where it is taken."""
+    try:
+        all_kinds()[kind].parameters.checked(kind, {name: value})
+    except InvalidInput as error:
+        return str(error).rpartition(" cannot be ")[2].removeprefix(repr(value))
+    return ""

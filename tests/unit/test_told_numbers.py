@@ -1,0 +1,33 @@
+"""How many there are of something, as people read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command import inside
+from support.homes import initialised
+
+from sms_jobs.app.specimens.campaigns import example
+from sms_jobs.records.sizes import number_of
+
+
+@pytest.mark.parametrize(("count", "told"), [(0, "0 views"), (1, "1 view"), (2, "2 views")])
+def test_one_thing_is_told_in_the_singular(count: int, told: str) -> None:
+    assert number_of(count, "view") == told
+
+
+def test_a_campaign_of_one_state_and_view_says_so(home: Path, tmp_path: Path) -> None:
+    initialised(home)
+    text = example().replace('["C1P1", "C2P1"]', '["C1P1"]')
+    first, second = text.index("[[states]]"), text.index("# Parameters of job kinds")
+    one = text[first : text.index("[[states]]", first + 1)]
+    (tmp_path / "plan.toml").write_text(text[:first] + one + text[second:])
+    made = inside("campaign", "create", str(tmp_path / "plan.toml"), "--home", str(home))
+    assert made.stderr.startswith("campaign plate-tension has 1 state and 1 view; next: ")
+    submitted = inside("job", "submit", "simulate", "-c", "plate-tension", "--home", str(home))
+    assert submitted.stderr.startswith("submitted 1 job: 1 simulate\n")
+    listed = inside("job", "list", "-c", "plate-tension", "--home", str(home))
+    assert listed.stderr.startswith("1 job of plate-tension has not ended: ")
+    cancelled = inside("job", "cancel", "-c", "plate-tension", "--home", str(home))
+    assert cancelled.stderr == "cancelled 1 job\n"
