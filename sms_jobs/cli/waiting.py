@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def followed() -> Iterator[Callable[[Waiting], None]]:
+def followed(stop: str = "") -> Iterator[Callable[[Waiting], None]]:
     """Show on a bar how the jobs come along that are waited for.
 
-    Where there is no terminal for it, say what would never end: that no worker serves their queue.
+    Where there is no terminal for it, say what would never end: that no worker serves their queue. Who
+    interrupts the waiting is told that the jobs go on, and which command, `stop`, ends them, if it is given.
     """
     from sms_jobs.cli.bars import job_bar
 
@@ -40,7 +41,12 @@ def followed() -> Iterator[Callable[[Waiting], None]]:
                 said.add(queues)
                 output.say(f"waiting, with no end in sight: no worker serves the queue {queues}")
 
-        yield tell
+        try:
+            yield tell
+        except KeyboardInterrupt:
+            if stop:
+                output.say(f"what was submitted goes on: 'sms job list' shows it, and '{stop}' stops it")
+            raise
 
 
 def as_json(outlook: Outlook) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from sms_jobs.cli.output import clock, duration
-from sms_jobs.cli.waiting import estimate_text
+from sms_jobs.cli.waiting import estimate_text, followed
 from sms_jobs.records.shown.estimates import Estimate
 
 NOW = datetime(2026, 3, 1, 21, 30, tzinfo=UTC)
@@ -49,3 +49,13 @@ def test_an_estimate_says_what_it_rests_on() -> None:
     assert told.endswith("merge (40); no worker is there: start one with 'sms up'")
     assert "no worker serves the queue io" in estimate_text(replace(nothing, unserved=("io",)), NOW)
     assert estimate_text(replace(KNOWN, reused=40), NOW) == "nothing has to be computed: 40 of 40 are reused"
+
+
+def test_who_interrupts_the_waiting_is_told_that_the_jobs_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyboardInterrupt), followed(stop="sms acquire abort"):
+        raise KeyboardInterrupt
+    said = "what was submitted goes on: 'sms job list' shows it, and 'sms acquire abort' stops it\n"
+    assert capsys.readouterr().err.endswith(said)
+    with pytest.raises(KeyboardInterrupt), followed():
+        raise KeyboardInterrupt
+    assert "goes on" not in capsys.readouterr().err
