@@ -8,9 +8,8 @@ from sms_jobs.records.optical_instruments import SIMULATED, VirtualProjector
 
 
 def connect(projector: VirtualProjector, context: DriverContext) -> SimulatedProjector:
-    """Put a projector into the room; raise `InvalidInput` where the scene's has another size."""
+    """Put a projector into the room."""
     assert context.room is not None
-    context.room.require_size(projector.name, projector.columns, projector.rows)
     settle_s = projector.settle_ms / 1e3
     return SimulatedProjector(projector.name, context.room, settle_s, projector.pulses, projector.faults)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import FrameLost, InvalidInput, LinkLost
+from sms_jobs.errors import FrameLost, LinkLost
 from sms_jobs.instruments.clock import Clock
 from sms_jobs.instruments.protocols import CameraFacts, Frame
 from sms_jobs.records.bursts import Burst, PulseTrain
@@ -75,15 +75,6 @@ class VirtualRoom:
     wires: dict[str, Callable[[float, float], None]] = field(default_factory=dict)
     _lit: tuple[str, FringeSequence, int, NDArray[np.float32] | None] | None = None
     _seen: dict[tuple[object, ...], Rendering] = field(default_factory=dict)
-
-    def require_size(self, name: str, columns: int, rows: int) -> None:
-        """Raise `InvalidInput` where a rig's file says another size of a sensor than the scene."""
-        for sensor in self.setting.scene.rig.sensors:
-            if sensor.name == name and (sensor.columns, sensor.rows) != (columns, rows):
-                raise InvalidInput(
-                    f"{name} has {columns} x {rows} px in the file of its rig, and {sensor.columns} x "
-                    f"{sensor.rows} px in the campaign's scene: correct one of them"
-                )
 
     def light(
         self,

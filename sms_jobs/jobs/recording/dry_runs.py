@@ -24,7 +24,6 @@ from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.acquire import ANGLES, KIND, AcquireParameters, stage_angles
 from sms_jobs.kinds.recording.adaptation import QUICK
 from sms_jobs.metrology.geometry.stage_poses import StagePose
-from sms_jobs.records.optical_instruments import SIMULATED
 from sms_jobs.records.shown.rehearsals import DryRun, StateRehearsal
 from sms_jobs.records.views import view_of
 
@@ -108,17 +107,13 @@ def _missing_sensors(rig: RigFile, campaign: Campaign) -> Iterator[str]:
     for name in names:
         if name not in sizes:
             yield f"the file of rig {rig.name} has no {name}; it has {', '.join(sizes) or 'none'}"
-    simulated = {s.name for s in (*rig.cameras, *rig.projectors) if s.driver == SIMULATED}
-    scene = () if campaign.scene is None else campaign.scene.rig.sensors
-    expected = {s.name: (s.columns, s.rows, "scene") for s in scene if s.name in simulated}
-    session = () if campaign.session is None else campaign.session.sensors
-    expected |= {s.name: (s.columns, s.rows, "plan") for s in session}
-    for name, (columns, rows, place) in expected.items():
-        found = sizes.get(name)
-        if found is not None and found != (columns, rows):
+    expected = () if campaign.session is None else campaign.session.sensors
+    for sensor in expected:
+        found = sizes.get(sensor.name)
+        if found is not None and found != (sensor.columns, sensor.rows):
             yield (
-                f"{name} has {found[0]} x {found[1]} px in the file of rig {rig.name}, and "
-                f"{columns} x {rows} px in the {place}: correct one of them"
+                f"{sensor.name} has {found[0]} x {found[1]} px in the file of rig {rig.name}, and "
+                f"{sensor.columns} x {sensor.rows} px in the plan: correct one of them"
             )
 
 

@@ -61,8 +61,7 @@ def tried(
 
 
 def asking_for(*channels: str) -> Campaign:
-    acquire = {"channels": channels, "recordings": 1}
-    return replace(small_plate("plate")[1], scene=None, processing={"acquire": acquire})
+    return replace(small_plate("plate")[1], processing={"acquire": {"channels": channels, "recordings": 1}})
 
 
 def test_frames_bytes_and_time_follow_from_the_plan(services: Services) -> None:
@@ -108,15 +107,6 @@ def test_what_the_rig_lacks_is_told(services: Services) -> None:
     assert without.missing[0].startswith("S01: rig hall-3 has no stage")
 
 
-def test_a_simulated_sensor_has_the_size_of_the_scene(services: Services) -> None:
-    campaign = replace(asking_for(), scene=small_plate("plate")[1].scene)
-    camera, *projectors = tried(services, campaign).missing
-    assert "C1 has 256 x 256 px in the file of rig hall-3, and 128 x 128 px in the scene: correct" in camera
-    assert [words[:2] for words in projectors] == ["P1", "P2"]
-    same = RIG.replace("256, rows = 256", "128, rows = 128").replace("512, rows = 384", "256, rows = 192")
-    assert tried(services, campaign, same).missing == ()
-
-
 def test_cameras_without_a_projector_are_recorded_beside_fringes(services: Services) -> None:
     plate = replace(asking_for(), views=("C1P1", "C1P2", "C2C3"))
     lacking, _ = tried(services, plate).missing
@@ -151,7 +141,7 @@ def test_values_that_no_channel_confirms_are_remarked_on(services: Services) -> 
 def test_a_disk_that_is_too_small_is_told(services: Services) -> None:
     # 490 frames of more than 8 GB each: no disk of a test has room for that.
     huge = RIG.replace("columns = 256, rows = 256", "columns = 65535, rows = 65535")
-    done = tried(services, replace(small_plate("plate")[1], scene=None, processing={}), huge)
+    done = tried(services, replace(small_plate("plate")[1], processing={}), huge)
     assert [words.split(" has room")[0] for words in done.missing] == [
         "the disk of the spool",
         "the disk of the archive",

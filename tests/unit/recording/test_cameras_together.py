@@ -387,18 +387,6 @@ trigger = "{TRIGGER}"
 """
 
 
-def test_a_simulated_camera_of_another_size_than_the_scene_is_refused() -> None:
-    text = BOX.replace("{TRIGGER}", "T").replace(
-        '"C2", driver = "simulated", columns = 160', '"C2", driver = "simulated", columns = 100'
-    )
-    words = "C2 has 100 x 128 px in the file of its rig, and 160 x 128 px in the campaign's scene: correct"
-    with (
-        pytest.raises(InvalidInput, match=words),
-        connected(parse_rig(text, "rig.toml", known_sensors()), Setting(scene(), "S00", ())),
-    ):
-        pass
-
-
 @pytest.mark.parametrize(("trigger", "together"), [("T", True), ("{output}T", False)])
 def test_a_box_that_triggers_both_at_once_says_so(trigger: str, together: bool, tmp_path: Path) -> None:
     rig = parse_rig(BOX.replace("{TRIGGER}", trigger), "rig.toml", known_sensors())
