@@ -281,7 +281,11 @@ class Supervisor:
         late = self._places.living()
         self._places.close()
         if late:
-            logger.warning("%d processes did not end and were killed; their jobs are run again", len(late))
+            logger.warning(
+                "%d processes did not end and were killed; of their jobs recordings wait for an operator, "
+                "and the others are run again",
+                len(late),
+            )
             self._done(self._recover)
         self._done(self._seal)
 

@@ -201,7 +201,7 @@ class _Followed:
 
     def succeeded(self, services: Services, begun: Started) -> bool:
         """Wait for some recordings, and return whether all of them succeeded."""
-        with waiting.followed() as tell:
+        with waiting.followed(stop="sms acquire abort") as tell:
             recorded = recordings.wait_for_recordings(services, begun, tell)
         self._turns.append(recorded)
         if not self._as_json:

@@ -134,7 +134,7 @@ def submit(
                 output.say(estimate_text(done.estimate, datetime.now(UTC)))
         _tell_refused(done.refused)
         if wait and (done.counted or as_json):
-            with followed() as tell:
+            with followed(stop="sms job cancel") as tell:
                 waited = wait_for(services, done.jobs, tell=tell)
             _tell_waited(waited, as_json)
     if done.refused:
@@ -318,7 +318,7 @@ def watch(
     with bootstrap.services(home) as services:
         some = jobs_.choose(services, jobs or [], campaign)
         counted_before: dict[str, int] = {}
-        with followed() as show_on_bar:
+        with followed(stop="sms job cancel") as show_on_bar:
 
             def tell(now: Waiting) -> None:
                 nonlocal counted_before
@@ -349,7 +349,7 @@ def wait(
     """
     with bootstrap.services(home) as services:
         some = jobs_.choose(services, jobs or [], campaign)
-        with followed() as tell:
+        with followed(stop="sms job cancel") as tell:
             waited = wait_for(services, some, timeout, tell)
     _tell_waited(waited, as_json)
 

@@ -178,7 +178,7 @@ def _show(campaign: str, found: StreamRehearsal, as_json: bool) -> None:
 
 def _follow(services: Services, campaign: str, begun: Started, as_json: bool) -> None:
     """Wait for a stream and say what came of it; raise `JobFailed` when it did not succeed."""
-    with waiting.followed() as tell:
+    with waiting.followed(stop="sms acquire abort") as tell:
         done = streams.wait_for_stream(services, begun, tell)
     if as_json:
         output.print_json({"campaign": campaign, "jobs": begun.job_ids, **vars(done.outcome)})

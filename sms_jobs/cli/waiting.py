@@ -21,10 +21,11 @@ _STARTS_WITHIN_S = 10.0
 
 
 @contextmanager
-def followed() -> Iterator[Callable[[Waiting], None]]:
+def followed(stop: str = "") -> Iterator[Callable[[Waiting], None]]:
     """Show on a bar how the jobs come along that are waited for.
 
-    Where there is no terminal for it, say what would never end: that no worker is there, or serves them.
+    Where there is no terminal for it, say what would never end: that no worker is there, or serves them. Who
+    interrupts the waiting is told that the jobs go on, and which command, `stop`, ends them, if it is given.
     """
     from sms_jobs.cli.bars import job_bar
 
@@ -53,7 +54,12 @@ def followed() -> Iterator[Callable[[Waiting], None]]:
                 said.add(why)
                 output.say(f"waiting, with no end in sight: {why}")
 
-        yield tell
+        try:
+            yield tell
+        except KeyboardInterrupt:
+            if stop:
+                output.say(f"what was submitted goes on: 'sms job list' shows it, and '{stop}' stops it")
+            raise
 
 
 _NO_WORKER = "no worker is there: start one with 'sms up'"

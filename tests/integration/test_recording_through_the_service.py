@@ -178,6 +178,7 @@ def test_a_killed_worker_loses_no_complete_frame(home: Path) -> None:
             away = seen_from_another_host()
             assert (away.host, away.here, away.finished) == (waiting.host, False, ())
             assert "cannot be asked for twice" in waiting.reason
+            assert waiting.reason.endswith(f"then 'sms acquire resume {job[:8]}'")
             with services.catalogue.reading() as session:
                 assert not locks.held_devices(session, datetime.now(UTC))
             kept = spooled(home)

@@ -76,3 +76,13 @@ def test_who_waits_without_a_terminal_is_told_what_would_never_end(
         passed_s += 1.0
         assert (looks(nobody), looks(nobody)) == (told, "")
         assert "no worker serves the queue io: start 'sms up'" in looks(replace(nobody, unserved=("io",)))
+
+
+def test_who_interrupts_the_waiting_is_told_that_the_jobs_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyboardInterrupt), followed(stop="sms acquire abort"):
+        raise KeyboardInterrupt
+    said = "what was submitted goes on: 'sms job list' shows it, and 'sms acquire abort' stops it\n"
+    assert capsys.readouterr().err.endswith(said)
+    with pytest.raises(KeyboardInterrupt), followed():
+        raise KeyboardInterrupt
+    assert "goes on" not in capsys.readouterr().err

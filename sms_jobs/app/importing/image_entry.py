@@ -104,6 +104,21 @@ def make_campaign(services: Services, existing: Campaign | None, definition: Cam
         amend_campaign(services.catalogue, services.archive, existing, definition, now)
 
 
+def _blank(good: list[Inspected]) -> list[str]:
+    """Return a remark on images that show nothing; none where there is no such image."""
+    every = {name: about for one in good for name, about in one.facts.items()}
+    blank = {name: about.highest for name, about in every.items() if about.at_highest == 1.0}
+    if not blank:
+        return []
+    name, level = next(iter(blank.items()))
+    verb = "is" if len(blank) == 1 else "are"
+    remark = (
+        f"{len(blank)} of {len(every)} images {verb} blank: every pixel of {name} is {level}, and nothing "
+        "can be matched"
+    )
+    return [remark]
+
+
 def _saturated(good: list[Inspected], full_scale: int) -> list[str]:
     """Return a remark on images of which more saturates than glints do; none where there is no such image."""
     every = {name: about for one in good for name, about in one.facts.items()}
@@ -169,7 +184,7 @@ class EnteredImages:
         facts = [about for one in good for about in one.facts.values()]
         full_scale = given.full_scale or full_scale_of(facts, given.raw, remarks)
         if self.noise_counts:
-            remarks += _saturated(good, full_scale)
+            remarks += _blank(good) + _saturated(good, full_scale)
         gain, read_noise = given.gain, given.read_noise
         if gain is None or read_noise is None:
             usual = usual_noise(full_scale, remarks if self.noise_counts else [])

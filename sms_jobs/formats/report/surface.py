@@ -121,12 +121,12 @@ def texture_statistics(measurement: Measurement, shown: NDArray[np.bool_]) -> li
             "scatter of the grey levels", "count", float(texture[shown].std()) if shown.any() else None
         ),
         Statistic("noise there", "count", noise),
-        Statistic("speckle, full width at half maximum", "px", _speckle(texture, shown, noise)),
+        Statistic("speckle, full width at half maximum", "px", speckle_within(texture, shown, noise)),
         Statistic("saturated", "%", PER_CENT * float(np.mean(texture >= measurement.full_scale))),
     ]
 
 
-def _speckle(texture: NDArray[np.float64], shown: NDArray[np.bool_], noise: float) -> float | None:
+def speckle_within(texture: NDArray[np.float64], shown: NDArray[np.bool_], noise: float) -> float | None:
     """Return the width of the speckle; what is not of the specimen gets its mean level."""
     rows, columns = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
     if rows.size == 0:

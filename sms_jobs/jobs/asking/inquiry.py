@@ -270,7 +270,9 @@ def failure(session: Session, some: Chosen) -> str:
     )
     if row is None:
         return "they were skipped; see 'sms job list'"
+    # What waits for an operator is a recording.
+    again = "sms acquire resume" if row.state is JobState.NEEDS_OPERATOR else "sms job retry"
     return (
         f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
-        f"see 'sms job logs {row.id[:SHORT_ID]}', then 'sms job retry {row.id[:SHORT_ID]}'"
+        f"see 'sms job logs {row.id[:SHORT_ID]}', then '{again} {row.id[:SHORT_ID]}'"
     )

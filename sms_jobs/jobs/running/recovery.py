@@ -184,7 +184,7 @@ def _decide(session: Session, job: JobRow, now: datetime, crash_budget: int) -> 
             JobState.NEEDS_OPERATOR,
             now,
             "it was interrupted and is not repeated by itself: what it records cannot be asked for twice; "
-            f"look at the rig, then 'sms job retry {job.id[:8]}'",
+            f"look at the rig, then 'sms acquire resume {job.id[:8]}'",
         )
     elif job.crashes >= crash_budget:
         lifecycle.change(

@@ -13,8 +13,9 @@ import numpy as np
 
 from sms_jobs.formats.report.conditions import conditions_csv, conditions_markup
 from sms_jobs.formats.report.html import number
-from sms_jobs.formats.report.origins import Traceable
+from sms_jobs.formats.report.origins import Origin, Traceable
 from sms_jobs.formats.report.page import Section
+from sms_jobs.formats.report.surface import speckle_within
 from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.kind import Inputs, Kind, Need, Output, Progress, Scope
 from sms_jobs.kinds.parameters import Parameters
@@ -34,7 +35,6 @@ from sms_jobs.kinds.reporting.still_pairs import StillNoise, still_noise
 from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.geometry.planes import in_space
-from sms_jobs.metrology.images.texture_quality import speckle_width
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import MergedField, StrainField, Surface
 from sms_jobs.records.measurement import Measurement
@@ -189,14 +189,13 @@ def _pattern(campaign: Campaign) -> str:
 
 
 def _feature_size(measurement: Measurement, known: Any) -> str:
-    """Measure the texture over the box around what has a shape."""
+    """Measure the texture of what has a shape: the outline before a dark background is no feature of it."""
     if not known.any():
         return NOT_RECORDED
-    down, along = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-    seen = measurement.texture[down[0] : down[-1] + 1, along[0] : along[-1] + 1].astype(np.float64)
-    noise = float(measurement.noise(np.asarray(seen.mean(), np.float32)))
-    width = speckle_width(seen, noise)
-    return f"{width:.2g} px, full width at half maximum of the autocorrelation" if width > 0 else NOT_RECORDED
+    texture = measurement.texture.astype(np.float64)
+    noise = float(measurement.noise(np.asarray(texture[known].mean(), np.float32)))
+    width = speckle_within(texture, known, noise)
+    return f"{width:.2g} px, full width at half maximum of the autocorrelation" if width else NOT_RECORDED
 
 
 def _of_matching(inputs: Inputs) -> Iterator[Condition]:
@@ -204,12 +203,18 @@ def _of_matching(inputs: Inputs) -> Iterator[Condition]:
     told: dict[str, dict[str, list[str]]] = {}
     for dataset in inputs.datasets.values():
         if isinstance(dataset, Traceable) and dataset.provenance.kind == "correlate":
-            for name, value in _answers(dataset.provenance.parameters).items():
+            for name, value in _answers(_as_matched(dataset.provenance)).items():
                 about = told.setdefault(name, {}).setdefault(value, [])
                 about.append(str(dataset.provenance.subject))
     for name, values in (told or {name: {NOT_RECORDED: []} for name in _answers({})}).items():
         for value, about in values.items():
             yield Condition(MATCHING, name, ", ".join(about), value)
+
+
+def _as_matched(made: Origin) -> Mapping[str, Any]:
+    """Return the parameters of a match; where nothing showed fringes, no mean of them was matched."""
+    fringes = made.subject.view is not None and view_of(str(made.subject.view)).projectors
+    return made.parameters if fringes else {**made.parameters, "texture": "as recorded, without fringes"}
 
 
 def _answers(parameters: Mapping[str, Any]) -> dict[str, str]:
@@ -349,7 +354,7 @@ CLOSING = Closing("what to report", 0, _section)
 KIND = Kind(
     name="conditions",
     summary="write what the iDICs Good Practices Guide asks to be reported, as a table",
-    version=2,
+    version=3,
     scope=Scope.CAMPAIGN,
     parameters=Parameters,
     inputs=_READ,

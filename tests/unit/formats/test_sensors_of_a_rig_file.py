@@ -85,3 +85,11 @@ def test_what_the_documentation_shows_is_a_rig_file() -> None:
         rig = parse_rig(f'name = "shown"\n{lone}{block}{wires}', "instruments.md", known_sensors())
         drivers |= {sensor.driver for sensor in (*rig.cameras, *rig.projectors)}
     assert drivers >= {"aravis", "opencv", "window"}
+    (box,) = [b for b in re.findall(r"```toml\n(.*?)```", text, re.DOTALL) if b.startswith("[[triggers]]")]
+    cameras = "".join(
+        f'[[cameras]]\nname = "C{n}"\ndriver = "simulated"\ncolumns = 64\nrows = 64\n' for n in (1, 2)
+    )
+    (shown_box,) = parse_rig(
+        f'name = "shown"\n{cameras}{box}', "instruments.md", known_sensors()
+    ).serial.triggers
+    assert [wire.sensor for wire in shown_box.wiring] == ["C1", "C2"]

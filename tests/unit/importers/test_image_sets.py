@@ -90,6 +90,16 @@ def test_images_that_saturate_are_remarked_on(home: Path, tmp_path: Path, levels
     assert "1 of 4 images saturate: 25% of s2.png is at grey level 255" in said
 
 
+def test_images_that_show_nothing_are_remarked_on(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    blank = levels // 2
+    save(tmp_path / "whole", blank, "s{}.png")
+    assert not [said for said in images(tmp_path / "whole", home, "--dry-run")["remarks"] if "blank" in said]
+    blank[2] = 40
+    save(tmp_path / "blank", blank, "s{}.png")
+    (said,) = (one for one in images(tmp_path / "blank", home, "--dry-run")["remarks"] if "blank" in one)
+    assert "1 of 4 images is blank: every pixel of s2.png is 40, and nothing can be matched" in said
+
+
 def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
     for camera in ("C1", "C2"):
         save(tmp_path / "test" / camera, levels, "s{}.png")

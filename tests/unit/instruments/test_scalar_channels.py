@@ -140,6 +140,6 @@ def test_the_examples_of_the_documentation_are_valid() -> None:
     text = (Path(__file__).resolve().parents[3] / "docs" / "instruments.md").read_text("utf-8")
     blocks = [block.split("```")[0] for block in text.split("```toml\n")[1:]]
     protocols = [line for block in blocks for line in block.splitlines() if line.startswith("protocol")]
-    assert len([LineProtocol(**tomllib.loads(line)["protocol"]) for line in protocols]) == 3
+    assert len([LineProtocol(**tomllib.loads(line)["protocol"]) for line in protocols]) == 4
     faults = tomllib.loads(next(block for block in blocks if block.startswith("faults")))["faults"]
     assert len([Fault(**fault) for fault in faults]) == 4

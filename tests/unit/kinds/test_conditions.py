@@ -5,17 +5,20 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from support.report_results import campaign, grid, records_for, run_on_results
 
+from sms_jobs.archive.provenance import Provenance
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters
 from sms_jobs.kinds.kind import Need
 from sms_jobs.kinds.reporting import conditions, report
-from sms_jobs.kinds.reporting.chapter import MERGED_STATES, STRAINS
+from sms_jobs.kinds.reporting.chapter import MERGED_STATES, RECORDINGS, STRAINS
 from sms_jobs.kinds.reporting.still_pairs import still_pairs
 from sms_jobs.metrology.deformation.fields.noise_floor import noise_floor
 from sms_jobs.metrology.deformation.matching.grid import Method
@@ -128,6 +131,35 @@ def test_the_parameters_of_matching_are_put_in_words() -> None:
     assert found["shape function"] == "affine"
     assert found["image pre-filter"] == "Gaussian of 0.6 px standard deviation"
     assert conditions._answers(parameters | {"smoothing_px": 0.0})["image pre-filter"] == "none"
+
+
+@pytest.mark.parametrize(
+    ("view", "told"),
+    [
+        ("C1C2", "as recorded, without fringes"),
+        ("C1", "as recorded, without fringes"),
+        ("C1P1", "fringe-average"),
+    ],
+)
+def test_where_nothing_showed_fringes_no_mean_of_them_was_matched(view: str, told: str) -> None:
+    texture = CorrelateParameters().model_dump(mode="json")["texture"]
+    about = Subject("plate", "S01", view)
+    now, given = datetime.now(UTC), {"texture": texture}
+    made = Provenance("correlate", 1, about, "f" * 32, 1, now, given, (), "0.1", "host", "operator")
+    assert conditions._answers(conditions._as_matched(made))["image that is matched"] == told
+
+
+def test_the_outline_before_a_dark_background_is_no_feature(rng: np.random.Generator) -> None:
+    size = (160, 200)
+    speckle = gaussian_filter(rng.normal(size=size), 1.5)
+    row, column = np.indices(size)
+    specimen = row > 20 + 0.5 * np.abs(column - 100)
+    seen = np.where(specimen, 200.0 + 30.0 * speckle / speckle.std(), 6.0).astype(np.uint16)
+    recorded = records_for(Need(RECORDINGS, Subject("plate", "S00", "C1P1")), SIZE)["measurement"]
+    words = conditions._feature_size(replace(recorded, texture=seen, gain=0.01, read_noise=1.0), specimen)
+    # The autocorrelation of what a Gaussian of 1.5 px has smoothed is one of 1.5 sqrt(2) px, 5.0 px wide,
+    # which some 600 speckles tell to a twentieth. With the background in the same box it is 34 px.
+    assert float(words.split()[0]) == pytest.approx(5.0, abs=0.5)
 
 
 def test_no_parameter_of_matching_is_unknown() -> None:
