@@ -143,7 +143,7 @@ def plan(
         due_recordings.refuse_session(defined)
         left = () if isinstance(when, AtLevels) else due_recordings.plannable(session, campaign, states)
     views = [view for state in left for view in defined.recordings_at(state.label)]
-    refuse_lacking(lacking(services, defined, views or defined.recordings))
+    refuse_lacking(lacking(services.stations, defined, views or defined.recordings))
     if look.enabled:
         _require_looked_at(defined, look.stop_if)
     if isinstance(when, AtLevels):

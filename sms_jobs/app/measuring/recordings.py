@@ -26,6 +26,7 @@ from sms_jobs.records.shown.rehearsals import DryRun
 from sms_jobs.records.shown.state_progress import StateProgress
 
 if TYPE_CHECKING:
+    from sms_jobs.jobs.devices.stations import Stations
     from sms_jobs.records.campaign import Campaign, LoadState
 
 
@@ -72,20 +73,20 @@ def _plan(services: Services, campaign: str, states: Sequence[str], *, missing: 
             left = {s.label for s in recordings.unrecorded(session, campaign)}
             chosen = [s for s in chosen if s.label in left]
     views = [view for state in chosen for view in found.recordings_at(state.label)]
-    return Plan(found, tuple(chosen), lacking(services, found, views))
+    return Plan(found, tuple(chosen), lacking(services.stations, found, views))
 
 
-def lacking(services: Services, campaign: Campaign, views: Sequence[str]) -> tuple[str, ...]:
+def lacking(stations: Stations, campaign: Campaign, views: Sequence[str]) -> tuple[str, ...]:
     """Say what the rig of a campaign lacks to record some views.
 
     Nothing is known of a rig that is connected to another host.
     """
-    if not views or campaign.rig not in services.stations.names():
+    if not views or campaign.rig not in stations.names():
         return ()
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs.recording.lacking import lacking
 
-    return tuple(lacking(services.stations.rig(campaign.rig), campaign, views))
+    return tuple(lacking(stations.rig(campaign.rig), campaign, views))
 
 
 def refuse_lacking(lacking: Sequence[str]) -> None:
