@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC
+from itertools import combinations
 from math import isfinite
 from pathlib import Path
 
@@ -32,6 +33,8 @@ _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "o
 _MOST_BLIND = 0.5
 """The part of an image that may have no ray before the coefficients are taken for those of another model."""
 _GRID = 33
+_LEAST_APART_MM = 1e-3
+"""Between the pin-holes of two sensors; those that are nearer are taken for one."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,7 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
     if volume is not None:
         _check_volume(volume)
     sensors = _sensors(found, given, sources)
+    _refuse_one_place(sensors, sources)
     remarks = [*found.remarks, *_folds(sensors, sources)]
     if volume is None:
         volume = _seen_together(sensors, sources)
@@ -159,6 +163,17 @@ def _folds(sensors: tuple[Sensor, ...], sources: str) -> list[str]:
                 f"{sensor.name}: {blind:.0%} of the image has no ray; its distortion folds over there{where}"
             )
     return remarks
+
+
+def _refuse_one_place(sensors: tuple[Sensor, ...], sources: str) -> None:
+    """Raise `ConfigurationError` where two sensors stand at one point, whose rays tell no distances."""
+    for one, other in combinations(sensors, 2):
+        apart_mm = float(np.linalg.norm(one.pose.centre() - other.pose.centre()))
+        if apart_mm < _LEAST_APART_MM:
+            raise ConfigurationError(
+                f"{one.name} and {other.name} stand at one point in {sources}, {apart_mm:.1g} mm apart: no "
+                "shape can be measured with them; is their translation missing?"
+            )
 
 
 def _several_cameras(found: FoundCalibration, given: Supplement) -> bool:

@@ -407,6 +407,7 @@ REFUSALS = {
     "not_closed.xml": "line 3: this is not well-formed XML (mismatched tag)",
     "nothing_known.yml": "under names that are known here: it has fruit",
     "omnidirectional.yml": "the model 'omnidirectional', but the camera model here is the pin-hole",
+    "one_place.yml": "C1 and P1 stand at one point in",
     "outside_entity.xml": "line 2: a document type declaration",
     "prism.yml": "distortion coefficient 9 of M1",
     "python_object.yml": "S in",
