@@ -241,7 +241,9 @@ def list_(
             )
             for j in found
         ],
-        empty="there is no such job",
+        empty="there is no such job"
+        if campaign or state or kind
+        else "there are no jobs yet; 'sms job submit' makes some",
     )
     if left is not None and left.outlook is not None:
         jobs = (

@@ -31,3 +31,10 @@ def test_a_campaign_of_one_state_and_view_says_so(home: Path, tmp_path: Path) ->
     assert listed.stderr.startswith("1 job of plate-tension has not ended: ")
     cancelled = inside("job", "cancel", "-c", "plate-tension", "--home", str(home))
     assert cancelled.stderr == "cancelled 1 job\n"
+
+
+def test_a_list_without_jobs_says_whether_some_were_left_out(home: Path) -> None:
+    initialised(home)
+    listed = inside("job", "list", "--home", str(home))
+    assert listed.stderr == "there are no jobs yet; 'sms job submit' makes some\n"
+    assert inside("job", "list", "--kind", "mesh", "--home", str(home)).stderr == "there is no such job\n"
