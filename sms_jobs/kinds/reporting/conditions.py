@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -55,6 +55,7 @@ _CRITERIA = {
     "gauss-newton": "zero-normalised sum of squared differences, inverse-compositional Gauss-Newton",
     "fourier-newton": "peak of the zero-normalised cross-correlation",
 }
+_TOLD_BETWEEN_CAMERAS = ("subset size", "step size", "shape function", "image pre-filter")
 _MICROSTRAIN = 1e6
 _VSG = "virtual strain gauge (VSG) size"
 _RESOLUTION = "spatial resolution"
@@ -199,16 +200,31 @@ def _feature_size(measurement: Measurement, known: Any) -> str:
 
 
 def _of_matching(inputs: Inputs) -> Iterator[Condition]:
-    """Yield each parameter of matching in the first deformed state, with the tuples that share its value."""
+    """Yield each parameter of the matches that are shown, with the tuples that share its value."""
+    in_time = _told(inputs, "correlate", lambda made: _answers(_as_matched(made)))
+    for name, values in (in_time or {name: {NOT_RECORDED: []} for name in _answers({})}).items():
+        yield from (Condition(MATCHING, name, ", ".join(about), value) for value, about in values.items())
+    for name, values in _told(inputs, "stereo", _between_cameras).items():
+        yield from (Condition(MATCHING, name, ", ".join(about), value) for value, about in values.items())
+
+
+def _told(
+    inputs: Inputs, kind: str, answers: Callable[[Origin], Mapping[str, str]]
+) -> dict[str, dict[str, list[str]]]:
+    """Return what results of a kind answer: each name with its values, and the tuples that share one."""
     told: dict[str, dict[str, list[str]]] = {}
     for dataset in inputs.datasets.values():
-        if isinstance(dataset, Traceable) and dataset.provenance.kind == "correlate":
-            for name, value in _answers(_as_matched(dataset.provenance)).items():
-                about = told.setdefault(name, {}).setdefault(value, [])
-                about.append(str(dataset.provenance.subject))
-    for name, values in (told or {name: {NOT_RECORDED: []} for name in _answers({})}).items():
-        for value, about in values.items():
-            yield Condition(MATCHING, name, ", ".join(about), value)
+        if isinstance(dataset, Traceable) and dataset.provenance.kind == kind:
+            for name, value in answers(dataset.provenance).items():
+                told.setdefault(name, {}).setdefault(value, []).append(str(dataset.provenance.subject))
+    return told
+
+
+def _between_cameras(made: Origin) -> dict[str, str]:
+    """Return the parameters of a match between cameras, whose subsets are cut to the specimen."""
+    answers = _answers({**made.parameters, "regions": "none"})
+    answers["subset size"] += ", less what lies beside the specimen"
+    return {f"{name} between cameras": answers[name] for name in _TOLD_BETWEEN_CAMERAS}
 
 
 def _as_matched(made: Origin) -> Mapping[str, Any]:

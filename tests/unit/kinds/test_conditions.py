@@ -20,6 +20,7 @@ from sms_jobs.kinds.kind import Need
 from sms_jobs.kinds.reporting import conditions, report
 from sms_jobs.kinds.reporting.chapter import MERGED_STATES, RECORDINGS, STRAINS
 from sms_jobs.kinds.reporting.still_pairs import still_pairs
+from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.metrology.deformation.fields.noise_floor import noise_floor
 from sms_jobs.metrology.deformation.matching.grid import Method
 from sms_jobs.metrology.images.spline import Interpolant
@@ -223,3 +224,17 @@ def test_few_points_have_no_noise_floor() -> None:
     found = noise_floor(values, np.full(200, 2.0))
     assert found is not None
     assert (found.bias, found.noise, found.stated, found.points) == (1.0, 0.0, 2.0, 100)
+
+
+def test_what_two_cameras_matched_between_them_is_told() -> None:
+    given = StereoParameters(subset_radius_px=14, shape_order=1).model_dump(mode="json")
+    about = Subject("plate", "S01", "C1C2")
+    made = Provenance(
+        "stereo", 1, about, "f" * 32, 1, datetime.now(UTC), given, (), "0.1", "host", "operator"
+    )
+    assert conditions._between_cameras(made) == {
+        "subset size between cameras": "29 px square, less what lies beside the specimen",
+        "step size between cameras": "5 px",
+        "shape function between cameras": "affine",
+        "image pre-filter between cameras": "Gaussian of 0.6 px standard deviation",
+    }
