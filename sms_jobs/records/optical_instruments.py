@@ -80,7 +80,7 @@ class OpticalInstrument:
 
 
 class ImageFormat(Protocol):
-    """A sensor, and the size of its image, as a plan describes it."""
+    """A sensor by its name and the size of its image in px."""
 
     @property
     def name(self) -> str:

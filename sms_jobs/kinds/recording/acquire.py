@@ -42,7 +42,6 @@ from sms_jobs.kinds.products import INTERRUPTED, MEASURED, RECORDED
 from sms_jobs.kinds.recording.adaptation import (
     QUICK,
     Adaptive,
-    Pixels,
     adaptation_statistics,
     adapted,
 )
@@ -51,6 +50,7 @@ from sms_jobs.metrology.geometry.stage_poses import StagePose
 from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.optical_instruments import ImageFormat
 from sms_jobs.records.recording import Recording
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
@@ -138,7 +138,7 @@ class AcquireParameters(Parameters):
         return channels
 
     def adaptation(
-        self, sequence: FringeSequence, projectors: Sequence[Pixels], threads: int
+        self, sequence: FringeSequence, projectors: Sequence[ImageFormat], threads: int
     ) -> Adaptation | None:
         """Return how patterns follow from a pre-exposure; None where they are as planned."""
         if self.adaptive == "none":

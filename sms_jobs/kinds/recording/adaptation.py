@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from sms_jobs.metrology.geometry.projector_pixels import projector_pixels
 from sms_jobs.metrology.phase.exposure import exposure_set, projector_dimming
 from sms_jobs.metrology.phase.temporal_unwrapping import unwrap
 from sms_jobs.records.measurement import FringeSequence, Measurement
+from sms_jobs.records.optical_instruments import ImageFormat
 
 QUICK = FringeSequence((16, 15), 3, exposures=(1.0 / 64.0, 1.0 / 8.0, 1.0))
 """36 frames: phases good to a fraction of a projector pixel, of highlights up to 64 times too bright."""
@@ -27,22 +28,6 @@ _OVERLAP = 1.5  # and how far past the next camera pixel's light
 
 
 Adaptive: TypeAlias = Literal["none", "exposures", "projector"]
-
-
-class Pixels(Protocol):
-    """A projector as far as it counts here: its name and size in pixels."""
-
-    @property
-    def name(self) -> str:
-        """Such as P1."""
-
-    @property
-    def columns(self) -> int:
-        """Of its image."""
-
-    @property
-    def rows(self) -> int:
-        """Of its image."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +50,7 @@ class Outlook:
     brightness: Floats
     projector_xy: Floats
     full_scale: int
-    projector: Pixels
+    projector: ImageFormat
 
     def dimming(self, exposure: float) -> Singles:
         """Return factors for the projector's pixels, (rows, columns), so that one exposure serves all."""
@@ -85,7 +70,7 @@ class Outlook:
         return max(_REACH_PX, ceil(_OVERLAP * float(np.nanmedian(apart))))
 
 
-def outlook(measurement: Measurement, projector: Pixels, threads: int) -> Outlook:
+def outlook(measurement: Measurement, projector: ImageFormat, threads: int) -> Outlook:
     """Return what a recording of `QUICK` shows.
 
     White is as bright as the fringes' mean and modulation together. Raises `MeasurementFailed` where nothing
@@ -133,7 +118,7 @@ def adapted(
     adaptive: Adaptive,
     longest: float,
     sequence: FringeSequence,
-    projector: Pixels,
+    projector: ImageFormat,
     quick: Sequence[Measurement],
     threads: int,
 ) -> Patterns:
