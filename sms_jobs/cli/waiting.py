@@ -16,6 +16,7 @@ from sms_jobs.records.sizes import number_of
 if TYPE_CHECKING:
     from sms_jobs.app.work.waiting import Waiting
 
+_NO_WORKER = "no worker is there: start one with 'sms up'"
 _STARTS_WITHIN_S = 10.0
 """A service that was started just before is not missed."""
 
@@ -60,9 +61,6 @@ def followed(stop: str = "") -> Iterator[Callable[[Waiting], None]]:
             if stop:
                 output.say(f"what was submitted goes on: 'sms job list' shows it, and '{stop}' stops it")
             raise
-
-
-_NO_WORKER = "no worker is there: start one with 'sms up'"
 
 
 def _unserved(estimate: Estimate) -> str:

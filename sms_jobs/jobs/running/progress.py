@@ -19,14 +19,15 @@ class ThrottledProgress:
     """Writes progress to the catalogue a few times a second at most, and hears from it when to stop."""
 
     def __init__(self, catalogue: Catalogue, held: Claim) -> None:
-        self.said = ""  # the last words, written or not
+        self.closing = ""  # what was told when all was done, written or not
         self._catalogue = catalogue
         self._held = held
         self._next = 0.0
 
     def __call__(self, fraction: float, message: str = "") -> None:
         """Tell how much is done, from 0 to 1; raises as `lifecycle.report_progress` does."""
-        self.said = message
+        if fraction >= 1.0:
+            self.closing = message
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + _EVERY_S

@@ -212,9 +212,8 @@ class Runner:
             self._discard(held, kind, sealed)
             raise
         took = f"took {time.monotonic() - started:.1f} s{because}"
-        if not sealed:
-            took = "; ".join(filter(None, (took, progress.said)))
-        return self._succeed(held, kind, sealed, begun.key, took)
+        message = "; ".join(filter(None, (took, progress.closing)))
+        return self._succeed(held, kind, sealed, begun.key, message)
 
     def _take_up(self, session: Session, held: Claim, begun: _Begun, fault: SmsError | None) -> _Begun:
         """Begin a job, or queue it again while another computes the same."""

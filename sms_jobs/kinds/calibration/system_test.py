@@ -112,7 +112,7 @@ def run(inputs: Inputs, parameters: SystemTestParameters, progress: Progress) ->
         else:
             camera = inputs.read(_RIG, CALIBRATED).rig.sensor(view_of(subject.view).camera)
             rows += _bar_rows(surface, subject, camera.pose.centre(), parameters, inputs.threads)
-        progress((number + 1) / len(subjects), f"measured {subject}")
+        progress((number + 1) / (len(subjects) + 1), f"measured {subject}")
     test = _record(rows, parameters)
     yield DatasetOutput(inputs.subject, {SYSTEM_TEST: test}, _statistics(test))
 

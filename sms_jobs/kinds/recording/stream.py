@@ -179,7 +179,7 @@ def states_of(
     states = whole[:: parameters.every]
     for number, (moment, following) in enumerate(zip(states, (*states[1:], None), strict=True), start=1):
         label = frame_label(parameters.number, number)
-        progress(number / len(states), f"archiving {label}, of {number_of(len(states), 'state')}")
+        progress((number - 1) / len(states), f"archiving {label}, of {number_of(len(states), 'state')}")
         for camera, file in kept.files.items():
             after = file.complete if following is None else following.places[camera]
             beside = range(moment.places[camera] + 1, after)
@@ -201,6 +201,7 @@ def states_of(
                 },
                 statistics,
             )
+    progress(1.0, f"archived {number_of(len(states), 'state')}")
 
 
 def _nothing(parameters: StreamParameters, cameras: Iterable[str]) -> str:
