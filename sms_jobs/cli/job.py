@@ -410,7 +410,8 @@ def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
             raise InvalidInput(f"--set {text} is not NAME=VALUE; write it like --set gauge_length_mm=30")
         if name in parameters:
             raise InvalidInput(
-                f"the parameter '{name}' has one value, and is given more than once: give it once"
+                f"the parameter '{name}' is given more than once: give it once; 'sms job submit KIND --help' "
+                "says how several values are written in one"
             )
         parameters[name] = value.split(",") if "," in value else value
     return parameters

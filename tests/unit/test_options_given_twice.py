@@ -55,4 +55,8 @@ def test_whoever_types_it_is_told(home: Path) -> None:
     ):
         told = inside("job", "submit", "correlate", "-c", "a", *words, "--home", str(home))
         assert told.returncode == 2
-        assert "parameter 'subset_radius_px' has one value, and is given more than once" in told.stderr
+        assert "the parameter 'subset_radius_px' is given more than once: give it once" in told.stderr
+    gauges = ("--gauge", "a x=0 y=0 length=9", "--gauge", "b x=0 y=0 length=9")
+    told = inside("job", "submit", "gauges", "-c", "a", *gauges, "--home", str(home))
+    assert "'gauge' is given more than once: give it once" in told.stderr
+    assert "how several values are written in one" in told.stderr
