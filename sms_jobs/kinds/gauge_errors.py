@@ -9,7 +9,6 @@ import numpy as np
 from sms_jobs.kinds.surface_ports import bias_in_space, independent_covariance, position_covariance
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
-from sms_jobs.metrology.deformation.strain.square import rectangle_window
 from sms_jobs.metrology.deformation.strain.strain_errors import (
     MatchedShape,
     SharedErrors,
@@ -20,7 +19,7 @@ from sms_jobs.metrology.geometry.planes import covariance_in_space
 from sms_jobs.records.fields import DisplacementField, Surface
 
 
-def radius_in_time(moved: DisplacementField) -> int:
+def _radius_in_time(moved: DisplacementField) -> int:
     """Return the radius in px of the subsets that were matched in time."""
     return moved.subset_radius_px if moved.match_radius_px is None else moved.match_radius_px
 
@@ -41,7 +40,7 @@ def errors_of_gauge(
         independent_covariance(surface),
         bias_in_space(moved),
         averaging_radius_px=moved.averaging_radius_px,
-        subset_radius_px=radius_in_time(moved),
+        subset_radius_px=_radius_in_time(moved),
         order=cast(ShapeOrder, 1 if moved.match_order is None else moved.match_order),
         disc_radius_px=disc_radius_px,
         match_margin_px=moved.match_margin_px or 0,
@@ -54,5 +53,5 @@ def errors_of_rectangle(
     moved: DisplacementField, surface: Surface, length_px: float, width_px: float
 ) -> SharedErrors:
     """Return the errors of a displacement as they disturb slopes along the length of a rectangle."""
-    window = rectangle_window(length_px, width_px, moved.averaging_radius_px, radius_in_time(moved))
+    window = Window.nearest(length_px, width_px)
     return errors_of_gauge(moved, surface, float(np.sqrt(length_px * width_px / np.pi)), window)

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import states_of, strain_sigma
-from sms_jobs.kinds.gauge_errors import errors_of_gauge, radius_in_time
+from sms_jobs.kinds.gauge_errors import errors_of_gauge
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -40,10 +40,9 @@ from sms_jobs.metrology.deformation.fields.spatial_resolution import (
 )
 from sms_jobs.metrology.deformation.strain.square import (
     radius_of_equal_spread,
-    square_window,
     strain_over_squares,
 )
-from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
+from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, Window
 from sms_jobs.metrology.deformation.strain.tangent_plane import SurfaceStrain, surface_strain
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.campaign import Campaign
@@ -192,8 +191,7 @@ def _strained(
     position, displacement = in_space(surface.position), in_space(moved.displacement)
 
     def errors_of(side: int) -> SharedErrors:
-        window = square_window(side, moved.averaging_radius_px, radius_in_time(moved))
-        return errors_of_gauge(moved, surface, radius_of_equal_spread(side), window)
+        return errors_of_gauge(moved, surface, radius_of_equal_spread(side), Window(side, side))
 
     green = parameters.measure == "green-lagrange"
     fold = float(np.radians(parameters.fold_angle_deg))
@@ -305,7 +303,7 @@ def _statistics(field: StrainField, surface: Surface) -> dict[str, float]:
 KIND = Kind(
     name="strain",
     summary="strain in the tangent plane, with principal and equivalent strain, over a stated gauge length",
-    version=14,
+    version=15,
     scope=Scope.TUPLE,
     parameters=StrainParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -11,14 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.arrays import Floats, Labels
 from sms_jobs.metrology.deformation.fields.averaging import average_in_region
+from sms_jobs.metrology.deformation.fields.noise_correlation import blended_weights
 from sms_jobs.metrology.deformation.fields.spatial_resolution import left_by_square
-from sms_jobs.metrology.deformation.strain.square import (
-    matches_to_pixels,
-    radius_of_equal_spread,
-    square_window,
-    strain_over_squares,
-)
-from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, shared_errors
+from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
+from sms_jobs.metrology.deformation.strain.square import radius_of_equal_spread, strain_over_squares
+from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, Window, shared_errors
 from sms_jobs.metrology.deformation.strain.tangent_plane import SurfaceStrain, surface_strain
 
 ROWS, COLUMNS, PITCH = 60, 64, 0.5
@@ -28,7 +25,8 @@ ALL = np.ones((ROWS, COLUMNS), np.int32)
 
 def independent(covariance: Floats = NONE) -> Callable[[int], SharedErrors]:
     """Return errors that are independent from pixel to pixel."""
-    return lambda side: SharedErrors(covariance, np.zeros(6), 0.0, 0.0, radius_of_equal_spread(side))
+    nothing = np.zeros(covariance.shape, np.float32)
+    return lambda side: SharedErrors(covariance, nothing, 0.0, 0.0, radius_of_equal_spread(side))
 
 
 def plane(tilt: tuple[float, float] = (0.0, 0.0), turn: float = 0.0) -> Floats:
@@ -201,8 +199,9 @@ def test_scatter_is_as_stated(rng: np.random.Generator, side: int) -> None:
 
 
 def test_matches_are_spread_as_their_variance_says() -> None:
-    weights = matches_to_pixels(10)
+    weights, stated = blended_weights(Subsets(10, 1))
     assert weights.sum() == pytest.approx(1.0)
+    assert np.sum(weights**2) == pytest.approx(stated, rel=0.005)
     # The factor of `blend_matches`.
     assert np.sum(weights**2) * 21**2 == pytest.approx(1.39, abs=0.005)
     # A linear displacement stays what it is: the first moments vanish.
@@ -216,7 +215,7 @@ def test_noise_that_neighbours_share_is_stated_within_a_fifth(rng: np.random.Gen
     size, radius, subset, of_shape, of_match = 128, 4.0, 6, 0.004, 0.01
     row, column = np.mgrid[0:size, 0:size]
     xyz, labels = np.stack([PITCH * column, -PITCH * row, 0.0 * row]), np.ones((size, size), np.int32)
-    cloud, weights = np.zeros((6, size, size)), matches_to_pixels(subset)
+    cloud, weights = np.zeros((6, size, size)), blended_weights(Subsets(subset, 1))[0]
     cloud[[0, 3, 5]] = 0.5 * of_shape**2
     wide = size + weights.shape[0] - 1
     squares, covariance = [], cloud
@@ -235,7 +234,7 @@ def test_noise_that_neighbours_share_is_stated_within_a_fifth(rng: np.random.Gen
                 averaging_radius_px=radius,
                 subset_radius_px=subset,
                 disc_radius_px=radius_of_equal_spread(side),
-                window=square_window(side, radius, subset),
+                window=Window(side, side),
             )
 
         found = strain_over_squares(xyz, moved, errors_of, labels, side=side)
@@ -247,18 +246,23 @@ def test_noise_that_neighbours_share_is_stated_within_a_fifth(rng: np.random.Gen
 
 
 def test_large_squares_see_what_discs_with_the_same_spread_see() -> None:
-    square = square_window(81, 4.0, 10)
-    disc = shared_errors(
-        NONE + np.eye(3)[np.triu_indices(3)][:, None, None] * 2.0,
-        NONE,
-        averaging_radius_px=4.0,
-        subset_radius_px=10,
-        disc_radius_px=radius_of_equal_spread(81),
+    cloud = NONE + np.eye(3)[np.triu_indices(3)][:, None, None]
+    disc, square = (
+        shared_errors(
+            3.0 * cloud,
+            cloud,
+            averaging_radius_px=4.0,
+            subset_radius_px=10,
+            disc_radius_px=radius_of_equal_spread(81),
+            window=window,
+        )
+        for window in (None, Window(81, 81))
     )
     # The disc's fitted factors are good to 10 %.
-    white = 2.0 * 21**2 / 1.39
-    assert disc.match[0] / white == pytest.approx(square.of_match, rel=0.1)
-    assert square.of_shape == pytest.approx(0.93, rel=0.1)
+    np.testing.assert_allclose(disc.match, square.match, rtol=0.1)
+    inner = np.s_[[0, 3, 5], 8:-8, 8:-8]
+    np.testing.assert_allclose(square.own[inner], 2.0 * 0.93, rtol=0.1)
+    np.testing.assert_allclose(disc.own[inner], square.own[inner], rtol=0.1)
 
 
 def test_it_agrees_with_the_disc_on_a_smooth_field() -> None:

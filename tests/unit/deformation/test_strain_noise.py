@@ -12,8 +12,12 @@ from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.deformation.fields.noise_correlation import blended_weights
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, read_gauge
-from sms_jobs.metrology.deformation.strain.square import rectangle_window
-from sms_jobs.metrology.deformation.strain.strain_errors import MatchedShape, seen_of_match, shared_errors
+from sms_jobs.metrology.deformation.strain.strain_errors import (
+    MatchedShape,
+    Window,
+    seen_of_match,
+    shared_errors,
+)
 from sms_jobs.metrology.deformation.strain.tangent_plane import surface_strain
 
 SIZE, MARGIN, TRIALS = 110, 28, 60
@@ -60,6 +64,52 @@ def test_noise_through_subsets_is_stated(rng: np.random.Generator, of: str) -> N
     np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=(0, 2, 3))), 1.0, atol=0.1)
 
 
+def test_noise_is_stated_where_it_is(rng: np.random.Generator) -> None:
+    """Four times as much noise at one side, as where light falls off: 5 % of a deviation in each third."""
+    subsets, disc = Subsets(6, 1), 9.0
+    loud = np.geomspace(0.5, 2.0, SIZE)
+    squares = []
+    for _ in range(TRIALS):
+        moved, covariance = filtered(subsets, rng)
+        errors = shared_errors(
+            loud**2 * covariance,
+            np.zeros_like(covariance),
+            averaging_radius_px=0.0,
+            subset_radius_px=subsets.radius,
+            disc_radius_px=disc,
+        )
+        found = surface_strain(
+            flat(), loud * moved, errors, ONE, gauge_length=2.0 * disc, green_lagrange=False
+        )
+        score = (found.strain**2 / (found.sigma**2 - found.bias**2))[:, *INNER]
+        squares.append([third.mean() for third in np.array_split(score, 3, axis=2)])
+    np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize("of", ["in time", "between cameras"])
+def test_a_gauge_sees_the_subsets_that_were_matched(rng: np.random.Generator, of: str) -> None:
+    """A gauge as short as a subset, by the noise of either match. 60 trials at nine places: 5 %."""
+    in_time, between, length, width = Subsets(7, 1), Subsets(7, 2), 15.0, 7.0
+    subsets = between if of == "between cameras" else in_time
+    scores = []
+    for _ in range(TRIALS):
+        moved, covariance = filtered(subsets, rng)
+        errors = shared_errors(
+            covariance,
+            np.zeros_like(covariance),
+            averaging_radius_px=0.0,
+            subset_radius_px=in_time.radius,
+            disc_radius_px=float(np.sqrt(length * width / np.pi)),
+            shape=None if subsets is in_time else MatchedShape(0.5 * covariance, between),
+            window=Window.nearest(length, width),
+        )
+        for x, y, angle in product((30.0, 55.0, 80.0), (-30.0, -55.0, -80.0), (0.0, 0.8, np.pi / 2.0)):
+            place = GaugePlace(x, y, length, width, angle)
+            read = read_gauge(place, flat(), moved, errors.every, ONE, green_lagrange=False)
+            scores.append(read.strain / read.sigma)
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.15)
+
+
 @pytest.mark.parametrize("subsets", [Subsets(10, 1), Subsets(12, 2)])
 def test_wide_discs_see_as_many_pixels_as_a_match_is_made_of(subsets: Subsets) -> None:
     """Of the slowest waves a match keeps all: what counts is a pixel's variance over the stated one."""
@@ -99,7 +149,7 @@ def test_a_bias_that_subsets_do_not_follow_is_stated_whichever_way_it_waves() ->
 def test_a_gauge_sees_noise_over_its_own_rectangle(rng: np.random.Generator) -> None:
     """A long gauge is quieter than the disc of its area. 60 trials at some 8 places: 3 % of a deviation."""
     subsets, length, width = Subsets(6, 1), 25.0, 9.0
-    window = rectangle_window(length, width, 0.0, subsets.radius)
+    window = Window.nearest(length, width)
     scores = []
     for _ in range(TRIALS):
         moved, covariance = filtered(subsets, rng)

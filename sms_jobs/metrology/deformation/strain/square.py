@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels
 from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.deformation.fields.cells import Cells, cell_means
-from sms_jobs.metrology.deformation.fields.displacement import blending_reach, pixel_pitch
+from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.edge_noise import edges_of, noise_at_edges
 from sms_jobs.metrology.deformation.strain.gauge_bias import (
     SHORTER,
@@ -24,7 +25,7 @@ from sms_jobs.metrology.deformation.strain.gauge_bias import (
     gauge_bias,
     spread_over_pixels,
 )
-from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, Window
+from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
 from sms_jobs.metrology.deformation.strain.tangent_plane import SurfaceStrain, principal_and_equivalent
 
 LEAST_PART = 0.5
@@ -39,68 +40,6 @@ _SKEW = 1e-2  # least sine of the angle between rows and columns on the surface
 def radius_of_equal_spread(side: float) -> float:
     """Return the radius of the disc in which points scatter as in a square of a side."""
     return side / float(np.sqrt(3.0))
-
-
-def square_window(side: int, averaging_radius_px: float, subset_radius_px: float) -> Window:
-    """Return what a square of `side` x `side` pixels sees of filtered errors, as `rectangle_window` does."""
-    return rectangle_window(side, side, averaging_radius_px, subset_radius_px)
-
-
-def rectangle_window(
-    length: float, width: float, averaging_radius_px: float, subset_radius_px: float
-) -> Window:
-    """Return what a rectangle of pixels, of which slopes along its length are taken, sees of filtered errors.
-
-    Parameters
-    ----------
-    length, width
-        In px, to the nearest odd number.
-    averaging_radius_px, subset_radius_px
-        Distances over which errors of shape and of match go together; 0 for none.
-
-    Notes
-    -----
-    Exact sums over the pixels: its weights for a slope, through the weights (1 - d^2 / radius^2)^2
-    of `average_in_region`, and through the subsets of first order that `blend_matches` spreads over pixels.
-    """
-    from scipy import signal
-
-    half, across = max(round((length - 1.0) / 2.0), 1), max(round((width - 1.0) / 2.0), 0)
-    weights = np.broadcast_to(np.arange(-half, half + 1.0), (2 * across + 1, 2 * half + 1))
-
-    def seen(filtered: Floats) -> float:
-        return float(np.sum(signal.fftconvolve(weights, filtered) ** 2) / np.sum(weights**2))
-
-    return Window(
-        float(weights.size), seen(_averaging(averaging_radius_px)), seen(matches_to_pixels(subset_radius_px))
-    )
-
-
-def _averaging(radius: float) -> Floats:
-    """Return the weights about a pixel of an average over a radius in px, with the sum 1."""
-    reach = int(np.ceil(radius))
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    weight = np.maximum(1.0 - (x**2 + y**2) / max(radius, 1.0) ** 2, 0.0) ** 2
-    return np.asarray(weight / weight.sum())
-
-
-def matches_to_pixels(radius: float) -> Floats:
-    """Return what each pixel's noise adds to the displacement of one amid blended subsets of first order.
-
-    A match at every pixel; each stands for the plane that its subset, of `radius` in px, is fitted by.
-    """
-    from scipy import signal
-
-    side = int(radius)
-    if side == 0:
-        return np.ones((1, 1))
-    place = np.arange(-side, side + 1.0)
-    box, lever = np.ones((2 * side + 1,) * 2), np.broadcast_to(place, (2 * side + 1,) * 2)
-    blend = _averaging(blending_reach(side, 6))
-    reach = blend.shape[0] // 2
-    to_match = np.broadcast_to(np.arange(-reach, reach + 1.0), blend.shape)
-    by_slopes = signal.fftconvolve(blend * to_match, lever / np.sum(lever**2))
-    return np.asarray(signal.fftconvolve(blend, box / box.size) - by_slopes - by_slopes.T)
 
 
 @kernel
@@ -183,11 +122,12 @@ def _square_rows(
 
 
 def _in_tangent_plane(
-    found: Floats, match: Floats, x_axis: Floats, green_lagrange: bool
+    found: Floats, match: NDArray[np.float32], x_axis: Floats, green_lagrange: bool
 ) -> tuple[Floats, Floats, Floats]:
-    """Return strains (3, ..) and their variances by the pixels' own covariance and by that of the match (6,).
+    """Return strains (3, ..) and their variances by the pixels' own covariance and by that of the match.
 
-    `found` (20, ..) is of `_square_rows`. The plane is that of both slopes of position.
+    `match` is (6, ..), `found` (20, ..) is of `_square_rows`. The plane is that of both slopes of
+    position.
     """
     place = found[[[0, 1, 2], [6, 7, 8]]]
     moved = found[[[3, 4, 5], [9, 10, 11]]]
@@ -212,17 +152,16 @@ def _in_tangent_plane(
         stretched = axes + slopes
     inverse = np.einsum("am...,bm...,m...->ab...", turn, turn, 1.0 / found[_SPREAD : _SPREAD + 2])
 
-    def variance(packed: Floats) -> Floats:
+    def variance(packed: NDArray[np.floating]) -> Floats:
         full = packed[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         noise = np.einsum("ai...,ij...,bj...->ab...", stretched, full, stretched)
         shear = inverse[1, 1] * noise[0, 0] + inverse[0, 0] * noise[1, 1] + 2.0 * inverse[0, 1] * noise[0, 1]
         return np.stack([inverse[0, 0] * noise[0, 0], inverse[1, 1] * noise[1, 1], 0.25 * shear])
 
-    by_match = np.broadcast_to(match[:, None, None], (6, *size.shape))
     return (
         np.stack([strain[0, 0], strain[1, 1], strain[0, 1]]),
         variance(found[_COVARIANCE:]),
-        variance(by_match),
+        variance(match),
     )
 
 
@@ -337,7 +276,10 @@ def _strained(
         found = np.empty((stop - start, labels.shape[1], _FOUND))
         _square_rows(start, stop, values, labels, normal, cells.side, side // 2, least_cosine, least, found)
         strain[:, start:stop], own[:, start:stop], match[:, start:stop] = _in_tangent_plane(
-            np.ascontiguousarray(np.moveaxis(found, -1, 0)), errors.match, x_axis, green_lagrange
+            np.ascontiguousarray(np.moveaxis(found, -1, 0)),
+            errors.match[:, start:stop],
+            x_axis,
+            green_lagrange,
         )
 
     in_row_blocks(work, labels.shape[0], threads)

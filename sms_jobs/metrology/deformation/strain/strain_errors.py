@@ -9,35 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.fields.noise_correlation import blended_weights
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.geometry.transforms import pack, unpack
+from sms_jobs.metrology.images.masks import narrowed, wide_gaps
 
 _OF_STRAIN = 0.25
 """Part of a bias that may have the shape of a strain over a gauge disc, where no subsets limit it: half of a
 wave of the worst length, and half of that in the mean over its directions."""
 _WIDEST = 24.0  # of a disc's radius over that of subsets: beyond, all but 4 % of what noise does is seen
+_RIM = 0.4  # of a subset's radius: within it an edge changes the noise of a match
+_MOST_SQUARES = 64  # along an image, for which noise is told
+_SAMPLES = 12  # along a square
 _DIGITS = 3  # of the radii for which it is remembered
 
 
 @dataclass(frozen=True)
 class Window:
-    """What a gauge sees of errors: over how many pixels, and what of filtered noise, over white noise.
+    """A rectangle of pixels, of which slopes along its length are taken: each size in px, and odd."""
 
-    Attributes
-    ----------
-    pixels
-        That it has.
-    of_shape, of_match
-        Variance of its slopes by white noise through the filter of shape, and through subsets, over that by
-        white noise itself.
-    """
+    length: int
+    width: int
 
-    pixels: float
-    of_shape: float
-    of_match: float
+    @classmethod
+    def nearest(cls, length_px: float, width_px: float) -> Window:
+        """Return the one that is nearest to a length, of three pixels at least, and to a width."""
+        half, across = max(round((length_px - 1.0) / 2.0), 1), max(round((width_px - 1.0) / 2.0), 0)
+        return cls(2 * half + 1, 2 * across + 1)
+
+    def slope(self) -> Floats:
+        """Return what its pixels (width, length) weigh in a slope, but for a factor."""
+        half = self.length // 2
+        return np.broadcast_to(np.arange(-half, half + 1.0), (self.width, self.length))
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ class SharedErrors:
         (6, rows, columns), the covariance by errors of shape and by bias that, independent from pixel to
         pixel, would disturb strain as the true one does; NaN where there is no displacement.
     match
-        (6,), the same by errors of matches, everywhere alike.
+        (6, rows, columns), the same by errors of matches; without gaps.
     averaging_radius_px, subset_radius_px
         Distances over which errors of shape and of match go together; 0 for none.
     disc_radius_px
@@ -78,7 +83,7 @@ class SharedErrors:
     """
 
     own: Floats
-    match: Floats
+    match: NDArray[np.float32]
     averaging_radius_px: float
     subset_radius_px: float
     disc_radius_px: float
@@ -88,7 +93,7 @@ class SharedErrors:
     @property
     def every(self) -> Floats:
         """(6, rows, columns), both together."""
-        return self.own + self.match[:, None, None]
+        return self.own + self.match
 
     def seen_by_part(self, part: float) -> tuple[float, float]:
         """Return what a disc of a part of the radius sees of `own` and of `match`, over what this one does.
@@ -153,9 +158,9 @@ def shared_errors(
     disc's, where a and b fit the exact quadrature over both filters to 10 % for q below 1.5, and of blended
     matches what their own weights tell (`seen_of_match`). The part of shape is twice the cloud's covariance
     before averaging, which divides it by 5 pi radius^2 / 9 and weighs pixels by their inverse variance, so
-    that what counts is their harmonic mean; the rest is of matches, and its median is taken. Of that, twice
-    the covariance of a matched shape is seen through the shape's subsets, and the remainder through those in
-    time: the two have an image's noise in common, which is seen between both.
+    that what counts is their harmonic mean; the rest is of matches, of which medians about a place are taken
+    (`_medians`). Of that, twice the covariance of a matched shape is seen through the shape's subsets, and
+    the remainder through those in time: the two have an image's noise in common, which is seen between both.
 
     Bias is seen as the match is. It is what the two images do not share within a subset, or what a subset
     does not follow. The former is independent where subsets do not overlap. The latter has waves of up to a
@@ -169,32 +174,38 @@ def shared_errors(
         """Return what the gauge sees of matches."""
         if one is None:
             return 1.0
-        return seen_of_match(one, disc_radius_px) if window is None else window.of_match / _stated(one)
+        return seen_of_match(one, disc_radius_px) if window is None else _seen_by_window(one, window)
 
     noise: Floats = (covariance if bias is None else covariance - bias).astype(np.float64)
     biased: Floats = np.zeros(())
     if bias is not None:
-        pixels = np.pi * disc_radius_px**2 if window is None else window.pixels
+        pixels = np.pi * disc_radius_px**2 if window is None else window.length * window.width
         biased = np.asarray((_OF_STRAIN * pixels if subsets is None else seen(subsets)) * bias)
     if averaging_radius_px == 0.0 and subsets is None:
-        return SharedErrors(noise + biased, np.zeros(6), *lengths)
+        return SharedErrors(noise + biased, np.zeros(noise.shape, np.float32), *lengths)
     cloud = 2.0 * _harmonic_mean(np.asarray(cloud_covariance, dtype=np.float64), averaging_radius_px)
-    of_cloud = seen_of_shape(averaging_radius_px / disc_radius_px) if window is None else window.of_shape
+    if window is None:
+        of_cloud = seen_of_shape(averaging_radius_px / disc_radius_px)
+    else:
+        of_cloud = _seen_through(_averaging_weights(averaging_radius_px), window.slope())
     excess = noise - cloud / max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
-    matched: list[tuple[Subsets | None, Floats]] = []
+    parts: list[tuple[Subsets | None, Floats]] = [(subsets, excess)]
     if shape is not None:
         between = 2.0 * np.asarray(shape.covariance, dtype=np.float64)
-        matched.append((shape.subsets, seen(shape.subsets) * _median(between)))
-        excess -= between
-    matched.append((subsets, seen(subsets) * _median(excess)))
+        parts = [(shape.subsets, between), (subsets, excess - between)]
+    widest = max((one.radius for one, _ in parts if one is not None), default=0)
+    known = _far_from_edges(np.asarray(np.isfinite(parts[-1][1]).all(axis=0)), widest)
+    side = _side_of_squares(max(lengths), known.shape)
+    matched = [(one, seen(one) * _medians(covariance, known, side)) for one, covariance in parts]
     # What both have in common may make the remainder negative; their sum is not.
-    match = _positive(sum((part for _, part in matched), start=np.zeros(6)))
+    told = _positive(np.sum([part for _, part in matched], axis=0))
     own = np.where(np.isfinite(noise), of_cloud * cloud, np.nan) + biased
+    match = _between_squares(told, side, known.shape)
     return SharedErrors(own, match, *lengths, _shares(matched), match_margin_px)
 
 
 def _shares(matched: list[tuple[Subsets | None, Floats]]) -> tuple[tuple[Subsets, float], ...]:
-    """Return which part of the sum of covariances (6,) each is, by their traces."""
+    """Return which part of the sum of covariances (6, ...) each is, by their traces."""
     sizes = [
         (subsets, max(float(part[[0, 3, 5]].sum()), 0.0)) for subsets, part in matched if subsets is not None
     ]
@@ -202,11 +213,6 @@ def _shares(matched: list[tuple[Subsets | None, Floats]]) -> tuple[tuple[Subsets
     if total > 0.0:
         return tuple((subsets, size / total) for subsets, size in sizes)
     return tuple((subsets, 1.0 / len(sizes)) for subsets, _ in sizes)
-
-
-def _stated(subsets: Subsets) -> float:
-    """Return the variance that is stated of blended matches, for pixels with a variance of 1."""
-    return blended_weights(subsets)[1]
 
 
 def seen_of_match(subsets: Subsets, disc_radius_px: float) -> float:
@@ -221,14 +227,37 @@ def seen_of_match(subsets: Subsets, disc_radius_px: float) -> float:
 
 @lru_cache(maxsize=256)
 def _seen_of_match(subsets: Subsets, radius: float) -> float:
-    """Do the work of `seen_of_match`: the exact sum over all waves."""
+    """Do the work of `seen_of_match`."""
     weights, stated = blended_weights(subsets)
     half = int(radius)
     y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
-    slope = np.where(x**2 + y**2 <= radius**2, x, 0.0)
-    side = fft.next_fast_len(len(slope) + len(weights), real=True)
-    filtered = fft.irfft2(fft.rfft2(weights, (side, side)) * fft.rfft2(slope, (side, side)), (side, side))
-    return float(np.sum(filtered**2) / np.sum(slope**2)) / stated
+    return _seen_through(weights, np.where(x**2 + y**2 <= radius**2, x, 0.0)) / stated
+
+
+@lru_cache(maxsize=256)
+def _seen_by_window(subsets: Subsets, window: Window) -> float:
+    """Return what `seen_of_match` does, of slopes along a rectangle of pixels."""
+    weights, stated = blended_weights(subsets)
+    return _seen_through(weights, window.slope()) / stated
+
+
+def _seen_through(weights: Floats, slope: Floats) -> float:
+    """Return the variance of a slope by white noise through a filter, over that by the noise itself.
+
+    Both are given by what pixels weigh (rows, columns): an exact sum over all of these.
+    """
+    least = np.add(weights.shape, slope.shape)
+    shape = fft.next_fast_len(int(least[0])), fft.next_fast_len(int(least[1]), real=True)
+    filtered = fft.irfft2(fft.rfft2(weights, shape) * fft.rfft2(slope, shape), shape)
+    return float(np.sum(filtered**2) / np.sum(slope**2))
+
+
+def _averaging_weights(radius: float) -> Floats:
+    """Return the weights about a pixel of `average_in_region` over a radius in px, with the sum 1."""
+    reach = int(np.ceil(radius))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    weight = np.maximum(1.0 - (x**2 + y**2) / max(radius, 1.0) ** 2, 0.0) ** 2
+    return np.asarray(weight / weight.sum())
 
 
 def seen_of_shape(q: float) -> float:
@@ -249,14 +278,60 @@ def _harmonic_mean(covariance: Floats, radius: float) -> Floats:
     return np.asarray(covariance * factor)
 
 
-def _median(covariance: Floats) -> Floats:
-    """Return the median of covariances (6, rows, columns), 0 where none is known."""
-    finite = np.isfinite(covariance).all(axis=0)
-    return np.median(covariance[:, finite], axis=1) if finite.any() else np.zeros(6)
+def _side_of_squares(length_px: float, shape: tuple[int, ...]) -> int:
+    """Return the side of the squares for which `_medians` tells noise, of some length and so many at most."""
+    return max(int(np.ceil(length_px)), -(-max(shape) // _MOST_SQUARES), 1)
+
+
+def _far_from_edges(known: Mask, radius: int) -> Mask:
+    """Return which known pixels are so far from edges that these change no noise, or all if none is.
+
+    At an edge matches by subsets of a radius in px state more noise (`border_factors`), and what that does to
+    strain is told apart (`noise_at_edges`).
+    """
+    gaps = wide_gaps(known.astype(np.int32), max(radius, 1))
+    inner = known & narrowed(~gaps, 2 * round(_RIM * radius) + 1, border_ends=True)
+    return inner if inner.any() else known
+
+
+def _medians(covariance: Floats, known: Mask, side: int) -> Floats:
+    """Return medians of covariances (6, rows, columns) over squares and those about them, (6, y, x).
+
+    Of known pixels (rows, columns); where there is none it is that of the nearest square, or 0. Noise changes
+    slowly over an image: with light, focus, and how obliquely a surface is seen.
+    """
+    counts = [-(-size // side) for size in known.shape]
+    every = max(1, side // _SAMPLES)
+    told = np.full((6, *counts), np.nan)
+    for y, x in np.ndindex(counts[0], counts[1]):
+        rows = slice(max(y - 1, 0) * side, (y + 2) * side, every)
+        columns = slice(max(x - 1, 0) * side, (x + 2) * side, every)
+        near = covariance[:, rows, columns][:, known[rows, columns]]
+        if near.size:
+            told[:, y, x] = np.median(near, axis=1)
+    missing = np.isnan(told[0])
+    if missing.all():
+        return np.zeros_like(told)
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(told[:, *nearest])
+
+
+def _between_squares(told: Floats, side: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return what is told of squares (6, y, x) for all pixels, (6, rows, columns): linear between middles."""
+    down, along = (
+        _shares_of_middles(size, side, count) for size, count in zip(shape, told.shape[1:], strict=True)
+    )
+    return np.asarray(down @ told @ along.T, dtype=np.float32)
+
+
+def _shares_of_middles(size: int, side: int, count: int) -> Floats:
+    """Return which part each of so many squares' middles has in each pixel along an axis, (size, count)."""
+    place = np.clip((np.arange(size) + 0.5) / side - 0.5, 0.0, count - 1.0)
+    return np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0)
 
 
 def _positive(packed: Floats) -> Floats:
-    """Return the nearest covariance that has no negative variance in any direction."""
+    """Return the nearest covariances (6, ...) that have no negative variance in any direction."""
     full = unpack(packed)
     values, vectors = np.linalg.eigh(full)
-    return pack((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    return pack((vectors * np.maximum(values, 0.0)[..., None, :]) @ vectors.swapaxes(-1, -2))

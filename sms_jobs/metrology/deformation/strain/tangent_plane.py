@@ -140,15 +140,15 @@ def _strain_rows(
     green: bool,
     step: int,
     block: int,
-    shared: Floats,
+    shared: NDArray[np.float32],
     strain: Floats,
     own: Floats,
     match: Floats,
 ) -> None:
     """Fill strain and its variances, of every `step`-th pixel from its half on, for their rows start .. stop.
 
-    `own` is that by the covariance, `match` that by `shared` (6,), which is the same everywhere. Squares of
-    `block` pixels look among the same cells, wherever the rows begin.
+    `own` is that by the covariance, `match` that by `shared` (6, rows, columns). Squares of `block` pixels
+    look among the same cells, wherever the rows begin.
     """
     first = step // 2
     wide = 2 * reach + 2 + (block * step) // side
@@ -156,7 +156,7 @@ def _strain_rows(
     sums = np.empty(SUMS)
     scatter, turned, mixed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     vectors, frame = np.empty((3, 3)), np.empty((3, 3))
-    gradient, f = np.empty((2, 3)), np.empty((2, 3))
+    gradient, f, here = np.empty((2, 3)), np.empty((2, 3)), np.empty(6)
     columns = strain.shape[2]
     for j in range(start // block, (stop - 1) // block + 1):
         for i in range((columns - 1) // block + 1):
@@ -194,7 +194,9 @@ def _strain_rows(
                     inverse = _slopes(frame, scatter, mixed, gradient)
                     strained = _strain_of(frame, gradient, green, f)
                     of_own = _variance_of(f, sums, variable(COVARIANCE), inverse)
-                    of_match = _variance_of(f, shared, variable(0), inverse)
+                    for k in range(6):
+                        here[k] = shared[k, r, c]
+                    of_match = _variance_of(f, here, variable(0), inverse)
                     for k in range(3):
                         strain[k, row, column] = strained[k]
                         own[k, row, column] = of_own[k] / sums[0]
@@ -264,7 +266,8 @@ def surface_strain(
     radius = 0.5 * gauge_length
     reach_px = radius / pixel_pitch(xyz, used, 0.01)
     if not isinstance(errors, SharedErrors):
-        errors = SharedErrors(np.asarray(errors, dtype=np.float64), np.zeros(6), 0.0, 0.0, reach_px)
+        independent = np.asarray(errors, dtype=np.float64)
+        errors = SharedErrors(independent, np.zeros(independent.shape, np.float32), 0.0, 0.0, reach_px)
     cells = _cells_for(reach_px, xyz, displacement, errors.own, used)
     axis = np.asarray(x_axis, dtype=np.float64)
     least_cosine = float(np.cos(fold_angle_rad))
