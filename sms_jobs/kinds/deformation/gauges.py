@@ -134,18 +134,13 @@ def read_gauges(
     displacement = np.einsum("ij,jrc->irc", turn, in_space(moved.displacement))
     green = parameters.measure == "green-lagrange"
     found, parts = [], []
+    size, noise = None, np.empty(0)
     for number, place in enumerate(places, start=1):
-        errors = errors_of_rectangle(moved, surface, place.length / pitch, place.width / pitch)
-        found.append(
-            read_gauge(
-                place,
-                position,
-                displacement,
-                turn_covariance(turn, errors.every),
-                labels,
-                green_lagrange=green,
-            )
-        )
+        if (place.length, place.width) != size:  # of those of one size, which most are, errors are told once
+            size = place.length, place.width
+            errors = errors_of_rectangle(moved, surface, place.length / pitch, place.width / pitch)
+            noise = turn_covariance(turn, errors.every)
+        found.append(read_gauge(place, position, displacement, noise, labels, green_lagrange=green))
         if states is not None:
             parts.append(
                 gauge_sigma(states, surface, moved, found[-1], frame, place.angle_rad, green_lagrange=green)

@@ -196,7 +196,7 @@ def shared_errors(
     widest = max((one.radius for one, _ in parts if one is not None), default=0)
     known = _far_from_edges(np.asarray(np.isfinite(parts[-1][1]).all(axis=0)), widest)
     side = _side_of_squares(max(lengths), known.shape)
-    matched = [(one, seen(one) * _medians(covariance, known, side)) for one, covariance in parts]
+    matched = [(one, seen(one) * _medians(part, known, side)) for one, part in parts]
     # What both have in common may make the remainder negative; their sum is not.
     told = _positive(np.sum([part for _, part in matched], axis=0))
     own = np.where(np.isfinite(noise), of_cloud * cloud, np.nan) + biased
