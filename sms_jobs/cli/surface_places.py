@@ -103,9 +103,11 @@ def section(
     if out is not None:
         _write(out, force, found)
     if as_json:
-        output.print_json({"file": found.file, "columns": found.columns, "rows": found.rows})
+        output.print_json(
+            {"file": found.file, "columns": found.columns, "units": found.units, "rows": found.rows}
+        )
     elif out is None:
-        output.print_table(found.columns, found.rows, empty="")
+        output.print_table(found.headings, found.rows, empty="")
 
 
 def _point(text: str, option: str) -> tuple[float, float]:

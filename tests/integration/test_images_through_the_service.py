@@ -143,12 +143,13 @@ def test_strain_is_that_of_the_coupon(done: tuple[Path, dict[str, Any]], tmp_pat
 def test_the_merged_field_has_sections_too(done: tuple[Path, dict[str, Any]]) -> None:
     home, _ = done
     (merged,) = found_of(home, "merge where load_kN > 0.9")
-    section = run(
-        home, "data", "section", str(merged["id"]), "--from", "64,30", "--to", "64,100", "--step", "5"
-    )
+    wanted = ("data", "section", str(merged["id"]), "--from", "64,30", "--to", "64,100", "--step", "5")
+    section = run(home, *wanted)
     assert section["columns"] == [
         "distance_px", "column_px", "row_px", "displacement_X", "displacement_Y", "pixels",
     ]  # fmt: skip
+    assert section["units"] == ["px", "px", "px", "mm", "mm", "1"]
+    assert "displacement_X [mm]  displacement_Y [mm]" in inside(*wanted, "--home", str(home)).stdout
     for _, _, row, _, up, _ in section["rows"]:
         # Held at the lower end, and pulled upwards: in mm, to a hundredth of a pixel.
         assert up == pytest.approx(ALONG[2] * (SIZE - row) * SCALE, abs=0.02 * SCALE)
