@@ -307,7 +307,7 @@ def _displacement_statistics(
             for axis, component in zip(XYZ, merged.displacement, strict=False)
         ),
         most,
-        Statistic("sigma, median", unit, _median(sigma), group=group),
+        Statistic("sigma of the length, median", unit, _median(sigma), group=group),
         *_calibrations_part(merged.sigma_calibration, unit, group),
         *_resolution(merged, group),
         Statistic("disagreement of the views, rms", unit, _finite(merged.discrepancy_rms), group=group),
