@@ -37,6 +37,7 @@ from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.jobs.monitoring import health
 from sms_jobs.jobs.running import lifecycle, liveness, queues, recovery
 from sms_jobs.jobs.running.origin import Origin, started_at
+from sms_jobs.records.job import JobState
 from sms_jobs.settings import Settings
 from sms_jobs.workers import broker
 
@@ -83,6 +84,24 @@ def test_a_worker_without_processes_is_a_finding_once_it_had_time_to_start(catal
         said = of_workers(catalogue, timedelta(seconds=after))
         assert bool(said) is found
         assert not said or "none of its 2 processes" in said[0]
+
+
+def test_one_is_not_told_as_many(catalogue: Catalogue) -> None:
+    (_, *others) = submit_pipeline(catalogue)
+    with catalogue.writing() as session:
+        for other in others:
+            lifecycle.change(session, other, JobState.CANCELLED, NOW, "not wanted")
+        for name in queues.queue_names(session):
+            queues.pause(session, name, "the rig needs the machine", NOW)
+        session.execute(update(WorkerRow).values(concurrency=1))
+        recovery.beat(session, "w1", NOW + timedelta(seconds=61), 0)
+    (without,) = of_workers(catalogue, timedelta(seconds=61))
+    assert "has no process: each ends as soon as it begins" in without
+    (none, _) = of_workers(catalogue, timedelta(minutes=4))
+    assert none.startswith("no worker is alive: 1 job waits for one; start")
+    with catalogue.reading() as session:
+        (paused,) = health.pauses(session)
+        assert " with 1 job in it: " in paused
 
 
 def test_that_nobody_is_there_is_a_finding_whether_or_not_there_are_jobs(catalogue: Catalogue) -> None:
