@@ -25,6 +25,7 @@ from sqlalchemy import update
 from support.command import kill_all, sms, wait_until
 from support.examining import doctor
 from support.jobs import JOBS, NOW, claim, submit_pipeline
+from support.missing import do_without
 from support.places import mounted
 from support.servers import RedisServer
 
@@ -301,7 +302,7 @@ def test_a_broker_that_would_lose_messages_is_noticed(redis_url: str, home: Path
 
 def test_a_full_redis_is_noticed(home: Path, tmp_path: Path) -> None:
     if shutil.which("redis-server") is None:
-        pytest.skip("needs Redis to start a server of its own: install it, or run ops/test.sh")
+        do_without("needs Redis to start a server of its own: install it, or run ops/test.sh")
     server = RedisServer(tmp_path / "redis")
     try:
         settings = Settings(home=home, broker_url=SecretStr(server.url))
