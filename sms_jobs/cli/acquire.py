@@ -221,7 +221,7 @@ class _Followed:
         failed = sum(turn.waited.failures for turn in self._turns)
         if failed:
             why = self._turns[-1].waited.failure
-            raise JobFailed(f"{failed} of {counted.total()} recordings did not succeed; {why}")
+            raise JobFailed(f"{failed} of {number_of(counted.total(), 'recording')} did not succeed; {why}")
 
 
 def _words(statistics: dict[str, float]) -> tuple[str, str, str, str]:

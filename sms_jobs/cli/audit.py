@@ -14,6 +14,7 @@ from sms_jobs.app.accounts.audit import Head
 from sms_jobs.cli import output
 from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.times import parsed_time
 
 app = typer.Typer(help="The audit: who did what, and is it as it was written?", no_args_is_help=True)
@@ -80,7 +81,7 @@ def export(
     if as_json:
         output.print_json({"file": file, "links": count})
     else:
-        output.say(f"wrote {file}: {count} links")
+        output.say(f"wrote {file}: {number_of(count, 'link')}")
 
 
 @app.command()
@@ -126,7 +127,8 @@ def verify(
         output.print_table(
             ["what"],
             [(sentence,) for sentence in done.breaks],
-            empty=f"{done.links} links and {done.events} events of jobs: all as they were written",
+            empty=f"{number_of(done.links, 'link')} and {number_of(done.events, 'event')} of jobs: "
+            "all as they were written",
         )
     if done.breaks:
         raise typer.Exit(_FINDINGS)

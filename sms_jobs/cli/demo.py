@@ -21,6 +21,7 @@ from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
 from sms_jobs.cli.waiting import followed
 from sms_jobs.errors import SmsError
+from sms_jobs.records.sizes import number_of
 
 
 class Size(Enum):
@@ -51,7 +52,11 @@ def demo(
         def tell(now: Waiting) -> None:
             still_there()
             left = kernels.kernels_left(services)
-            show_on_bar(replace(now, running=f"{left} kernels to compile, {now.running}") if left else now)
+            show_on_bar(
+                replace(now, running=f"{number_of(left, 'kernel')} to compile, {now.running}")
+                if left
+                else now
+            )
 
         summary = demo_.run(services, size.value, say=_unsaid if as_json else output.say, tell=tell)
     if as_json:
@@ -96,7 +101,7 @@ def _print_summary(summary: dict[str, Any]) -> None:
             "jobs": f"{jobs['succeeded']} succeeded ({jobs['reused']} reused), {jobs['failed']} failed",
             "took": f"{summary['seconds']:.0f} s",
             "report": summary["report"],
-            "exports": f"{len(summary['exports'])} files beside {summary['exports'][0]}",
+            "exports": f"{number_of(len(summary['exports']), 'file')} beside {summary['exports'][0]}",
         }
     )
     diagonal = summary["volume_diagonal_mm"]

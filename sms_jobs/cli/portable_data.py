@@ -185,7 +185,8 @@ def provenance(
         output.print_line(document)
         return
     writing.write_file(out, found.text, force)
-    output.say(f"wrote {out}: {len(document['entity'])} files and {len(document['activity'])} activities")
+    made, by = len(document["entity"]), len(document["activity"])
+    output.say(f"wrote {out}: {number_of(made, 'file')} and {by} {'activity' if by == 1 else 'activities'}")
 
 
 def _checked(folder: Path) -> CheckedFolder:

@@ -81,4 +81,4 @@ def exact(
         output.print_json_list(written)
         return
     for one in written:
-        output.say(f"wrote {one.file}: {one.nodes} nodes")
+        output.say(f"wrote {one.file}: {number_of(one.nodes, 'node')}")

@@ -16,6 +16,7 @@ from sms_jobs.cli import completion, output
 from sms_jobs.cli.options import Force, Record, StoredFile
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
+from sms_jobs.records.sizes import number_of
 
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", help="File to write: .csv for numbers, .png for a picture.")
@@ -69,7 +70,7 @@ def gauges(
         )
     if found.rms_difference is not None:
         count, rms = found.rms_difference
-        output.say(f"rms difference of {count} readings: {_in(rms)} microstrain")
+        output.say(f"rms difference of {number_of(count, 'reading')}: {_in(rms)} microstrain")
 
 
 def section(
@@ -103,9 +104,11 @@ def section(
     if out is not None:
         _write(out, force, found)
     if as_json:
-        output.print_json({"file": found.file, "columns": found.columns, "rows": found.rows})
+        output.print_json(
+            {"file": found.file, "columns": found.columns, "units": found.units, "rows": found.rows}
+        )
     elif out is None:
-        output.print_table(found.columns, found.rows, empty="")
+        output.print_table(found.headings, found.rows, empty="")
 
 
 def _point(text: str, option: str) -> tuple[float, float]:

@@ -27,6 +27,7 @@ _MEMORY_BYTES = 2 << 30
 _MEMORY_PER_BYTE = 30
 _TIME_S = 8.0
 _BYTES_PER_S = 2e6
+_ADVICE = "save it as VTU, XDMF, Gmsh, Abaqus, Nastran, or as an unstructured grid of legacy VTK"
 
 NodeFields = dict[str, NDArray[np.float64]]
 
@@ -58,14 +59,12 @@ def read_node_fields(path: Path) -> tuple[NDArray[np.float64], NodeFields]:
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise InvalidInput(
-            f"{path} cannot be read as a mesh within {seconds:.0f} s; save it as VTU"
-        ) from error
+        raise InvalidInput(f"{path} cannot be read as a mesh within {seconds:.0f} s; {_ADVICE}") from error
     if done.returncode != 0:
         reason = (
             done.stdout.decode("utf-8", "replace")[:200] or f"it takes more than {seconds:.0f} s or memory"
         )
-        raise InvalidInput(f"{path} cannot be read as a mesh: {reason}; save it as VTU")
+        raise InvalidInput(f"{path} cannot be read as a mesh: {reason}; {_ADVICE}")
     with np.load(io.BytesIO(done.stdout)) as arrays:
         names = json.loads(str(arrays["names"]))
         return arrays["points"], {name: arrays[f"field{k}"] for k, name in enumerate(names)}
@@ -90,14 +89,18 @@ def _read_here(path: str, memory: int, seconds: int) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     output = os.fdopen(os.dup(1), "wb")
+    spoken = io.StringIO()
     try:
         # Readers speak on stdout.
-        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
+        with contextlib.redirect_stdout(spoken), warnings.catch_warnings(action="ignore"):
             packed = _packed(path)
     except MemoryError:
         return 1
     except (Exception, SystemExit) as error:  # noqa: BLE001 - readers raise anything on damaged files
-        output.write((" ".join(str(error).split()) or type(error).__name__).encode("utf-8", "replace"))
+        # A format in which nothing was found ends the process, and has said why.
+        why = spoken.getvalue() if isinstance(error, SystemExit) else str(error)
+        words = " ".join(why.split()).rstrip(".") or type(error).__name__
+        output.write(words.encode("utf-8", "replace"))
         output.close()
         return 1
     output.write(packed)

@@ -6,7 +6,7 @@ together and taken apart here alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final, Literal, TypeAlias
 
 from sms_jobs.records.reasons import Reason
@@ -42,8 +42,6 @@ _UNIT_OF_ERRORS: Mapping[ErrorsOf, str] = {"shape": "_mm", "displacement": "_mm"
 _IN_UNIT = ("rms", "bias", "largest")
 
 _BEFORE = "_before"
-_LOST_TO = "lost_to_"
-_OF_POINTS = "_fraction_of_points"
 
 
 def before(channel: str) -> str:
@@ -63,30 +61,18 @@ def channels_before(statistics: Mapping[str, float]) -> dict[str, float]:
 
 def lost_to(reason: Reason) -> str:
     """Return the name of the part of the pixels that a reason keeps from a value: `lost_to_large_ray_gap`."""
-    return f"{_LOST_TO}{_word(reason)}"
-
-
-def losses(statistics: Mapping[str, float]) -> dict[str, float]:
-    """Return which part of the pixels is lost by what, in words."""
-    return {
-        name.removeprefix(_LOST_TO).replace("_", " "): value
-        for name, value in statistics.items()
-        if name.startswith(_LOST_TO)
-    }
+    return f"lost_to_{_word(reason)}"
 
 
 def fraction_of_points(reason: Reason) -> str:
     """Return the name of the part of the matched points that has a reason."""
-    return f"{_word(reason)}{_OF_POINTS}"
+    return f"{_word(reason)}_fraction_of_points"
 
 
-def losses_of_points(statistics: Mapping[str, float]) -> dict[str, float]:
-    """Return which part of the matched points is lost by what, in words."""
-    return {
-        name.removesuffix(_OF_POINTS).replace("_", " "): value
-        for name, value in statistics.items()
-        if name.endswith(_OF_POINTS)
-    }
+def losses(statistics: Mapping[str, float], part: Callable[[Reason], str]) -> dict[str, float]:
+    """Return which part is lost by what, in words: of the pixels by `lost_to`, else `fraction_of_points`."""
+    names = {part(reason): _word(reason).replace("_", " ") for reason in Reason}
+    return {names[name]: value for name, value in statistics.items() if name in names}
 
 
 def _word(reason: Reason) -> str:

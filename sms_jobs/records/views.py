@@ -134,3 +134,8 @@ def role_of(name: str) -> Role:
 def place_of(name: str) -> tuple[int, int]:
     """Return by what sensors are put in order: cameras first, and each by its number."""
     return [*Role].index(role_of(name)), int(name[1:])
+
+
+def place_of_view(text: str) -> tuple[tuple[int, int], ...]:
+    """Return by what views are put in order: by their sensors, the reference camera first."""
+    return tuple(place_of(name) for name in view_of(text).sensors)

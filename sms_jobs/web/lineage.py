@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from sms_jobs.app.holdings.files import Tree
 from sms_jobs.records.shown.files import Ancestor, FileView
+from sms_jobs.records.sizes import number_of
 
 _WIDTH, _HEIGHT, _ACROSS, _DOWN, _EDGE = 190, 40, 240, 54, 6
 _LETTERS = 26
@@ -43,7 +44,7 @@ def drawn(tree: Tree) -> Markup:
         for place, number in enumerate(own)
     }
     width, height = 2 * _EDGE + last * _ACROSS + _WIDTH, 2 * _EDGE + (tallest - 1) * _DOWN + _HEIGHT
-    words = f"{len(files)} files from which {tree.file.source} {tree.file.subject} comes"
+    words = f"{number_of(len(files), 'file')} from which {tree.file.source} {tree.file.subject} comes"
     start = Markup('<svg viewBox="0 0 {} {}" width="{}" role="group" aria-label="{}">').format(
         width, height, width, words
     )

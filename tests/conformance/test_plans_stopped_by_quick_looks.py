@@ -185,7 +185,7 @@ def test_beyond_a_limit_the_plan_is_held_and_it_is_told_once(test_plan: Catalogu
 
 @pytest.mark.parametrize(
     ("state", "said"),
-    [(JobState.SUCCEEDED, "1 gauges have no value"), (JobState.FAILED, "it was too dark")],
+    [(JobState.SUCCEEDED, "no value of 1 gauge"), (JobState.FAILED, "it was too dark")],
 )
 def test_what_is_not_known_holds_the_plan_as_well(test_plan: Catalogue, state: JobState, said: str) -> None:
     record(test_plan, "S01")

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.missing import do_without
 from support.servers import PostgresqlServer, postgresql_programs
 
 
@@ -32,7 +33,7 @@ def server(tmp_path: Path) -> Iterator[PostgresqlServer]:
     """A PostgreSQL server of this test alone."""
     programs = postgresql_programs()
     if programs is None:
-        pytest.skip("needs PostgreSQL to start a server of its own: install it, or run ops/test.sh")
+        do_without("needs PostgreSQL to start a server of its own: install it, or run ops/test.sh")
     folder = Path(tempfile.gettempdir()) / f"sms-place-{os.getpid()}"
     server = PostgresqlServer(folder, programs)
     try:

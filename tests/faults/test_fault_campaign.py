@@ -12,11 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from sqlalchemy import func, select
 from support.command import sms, wait_until
 from support.fault_campaign import FaultCampaign, Place, Verdict, judge, prepare
+from support.missing import do_without
 from support.servers import PostgresqlServer, RedisServer, postgresql_programs
 
 from sms_jobs.catalogue.models import JobRow
@@ -30,11 +32,8 @@ KILLS = (
 """In the long form these take turns."""
 
 
-def missing(what: str) -> None:
-    reason = f"needs {what} to start a server of its own: install it, or run ops/test.sh"
-    if os.environ.get("CI", "").lower() == "true":
-        pytest.fail(reason)
-    pytest.skip(reason)
+def missing(what: str) -> NoReturn:
+    do_without(f"needs {what} to start a server of its own: install it, or run ops/test.sh")
 
 
 @pytest.fixture

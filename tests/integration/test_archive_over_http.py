@@ -236,7 +236,13 @@ def test_displacements_and_sections_come_as_numbers_and_pictures(web: httpx2.Cli
     assert same["rms_mm"] == pytest.approx(0.0, abs=1e-6)
     line = {"x0": -20, "y0": 0, "x1": 20, "y1": 0, "field": "strain"}
     strain = newest(web, "strain")["id"]
-    assert web.get(f"/data/{strain}/section", params=line).json()["columns"][0] == "distance_mm"
+    told = web.get(f"/data/{strain}/section", params=line).json()
+    assert dict(zip(told["columns"], told["units"], strict=True)) == {
+        "distance_mm": "mm", "X_mm": "mm", "Y_mm": "mm", "Z_mm": "mm",
+        "strain_xx": "1", "strain_yy": "1", "strain_xy": "1", "pixels": "1",
+    }  # fmt: skip
+    heading = web.get(f"/data/{strain}/section", params=line | {"format": "csv"}).text.splitlines()[0]
+    assert heading == "distance_mm,X_mm,Y_mm,Z_mm,strain_xx [1],strain_yy [1],strain_xy [1],pixels"
     beside = web.get(f"/data/{strain}/section", params=line | {"x0": -9000, "x1": -8000})
     assert beside.status_code == 422
     assert (

@@ -7,9 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from support.browser import browser_or_skip
 
 from sms_jobs.bench import web_clients
-from sms_jobs.bench.browser import find_browser
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import all_groups, web
 
@@ -18,8 +18,8 @@ from sms_jobs.bench.groups import all_groups, web
 def test_a_small_server_is_measured_and_gives_no_figure(
     home: Path, monkeypatch: pytest.MonkeyPatch, browser: bool
 ) -> None:
-    if browser and find_browser() is None:
-        pytest.skip("needs a Chromium: run ops/test.sh, or set SMS_TEST_BROWSER to its path")
+    if browser:
+        browser_or_skip()
     if not browser:
         monkeypatch.setenv("SMS_TEST_BROWSER", "none")
     few = {"_QUICK_JOBS": 400, "_QUICK_SECONDS": 2.0, "_PAUSE_S": 1.0, "_EVENTS": 3}

@@ -25,6 +25,7 @@ from sqlalchemy import update
 from support.command import kill_all, sms, wait_until
 from support.examining import doctor
 from support.jobs import JOBS, NOW, claim, submit_pipeline
+from support.missing import do_without
 from support.places import mounted
 from support.servers import RedisServer
 
@@ -37,6 +38,7 @@ from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.jobs.monitoring import health
 from sms_jobs.jobs.running import lifecycle, liveness, queues, recovery
 from sms_jobs.jobs.running.origin import Origin, started_at
+from sms_jobs.records.job import JobState
 from sms_jobs.settings import Settings
 from sms_jobs.workers import broker
 
@@ -83,6 +85,24 @@ def test_a_worker_without_processes_is_a_finding_once_it_had_time_to_start(catal
         said = of_workers(catalogue, timedelta(seconds=after))
         assert bool(said) is found
         assert not said or "none of its 2 processes" in said[0]
+
+
+def test_one_is_not_told_as_many(catalogue: Catalogue) -> None:
+    (_, *others) = submit_pipeline(catalogue)
+    with catalogue.writing() as session:
+        for other in others:
+            lifecycle.change(session, other, JobState.CANCELLED, NOW, "not wanted")
+        for name in queues.queue_names(session):
+            queues.pause(session, name, "the rig needs the machine", NOW)
+        session.execute(update(WorkerRow).values(concurrency=1))
+        recovery.beat(session, "w1", NOW + timedelta(seconds=61), 0)
+    (without,) = of_workers(catalogue, timedelta(seconds=61))
+    assert "has no process: each ends as soon as it begins" in without
+    (none, _) = of_workers(catalogue, timedelta(minutes=4))
+    assert none.startswith("no worker is alive: 1 job waits for one; start")
+    with catalogue.reading() as session:
+        (paused,) = health.pauses(session)
+        assert " with 1 job in it: " in paused
 
 
 def test_that_nobody_is_there_is_a_finding_whether_or_not_there_are_jobs(catalogue: Catalogue) -> None:
@@ -282,7 +302,7 @@ def test_a_broker_that_would_lose_messages_is_noticed(redis_url: str, home: Path
 
 def test_a_full_redis_is_noticed(home: Path, tmp_path: Path) -> None:
     if shutil.which("redis-server") is None:
-        pytest.skip("needs Redis to start a server of its own: install it, or run ops/test.sh")
+        do_without("needs Redis to start a server of its own: install it, or run ops/test.sh")
     server = RedisServer(tmp_path / "redis")
     try:
         settings = Settings(home=home, broker_url=SecretStr(server.url))

@@ -182,7 +182,7 @@ CAUSES: dict[str, tuple[Callable[[Scene], object], str, str]] = {
     ),
     "no room": (no_room, "disk", "make room"),
     "network": (on_the_network, "place of the catalogue", "network file system (nfs4)"),
-    "schema": (lambda s: in_file(s, "DROP TABLE schedule"), "schema", "differences"),
+    "schema": (lambda s: in_file(s, "DROP TABLE schedule"), "schema", "1 difference from this version's"),
     "counts": (counted_wrongly, "counts of jobs", "sms db upgrade"),
     "nobody": (in_catalogue(nobody), "workers", "no worker is alive"),
     "vanished": (in_catalogue(nobody), "workers", "worker w1 on"),

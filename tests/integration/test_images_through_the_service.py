@@ -140,15 +140,42 @@ def test_strain_is_that_of_the_coupon(done: tuple[Path, dict[str, Any]], tmp_pat
     assert mesh.points[:, 0].max() < (SIZE - 10) * SCALE
 
 
+def test_a_gauge_outside_of_the_image_is_refused_before_anything_is_queued(
+    done: tuple[Path, dict[str, Any]],
+) -> None:
+    home, _ = done
+    before = run(home, "job", "list", "-c", "coupon")
+    image = "and the image of 128 x 128 px reaches from 0 to"
+    for gauge, place in (
+        ("G9 x=640px y=64px length=60px", f"its x is 640 px, {image} 127 px"),
+        ("G9 x=3 y=-4 length=3", f"its y is -4 mm, {image} 6.35 mm"),
+    ):
+        # With the surface that was made, and with one that is to be made.
+        given = ["-c", "coupon", "--set", f"gauges.gauge={GAUGE};{gauge}", "--home", str(home)]
+        for kinds in (("gauges",), ("pipeline", "gauges", "--set", f"plane.mm_per_px={SCALE}")):
+            refused = inside("job", "submit", *kinds, *given)
+            assert refused.returncode == USAGE
+            assert f"gauge G9 lies outside of the image of C1: {place}; move it into" in refused.stderr
+    assert run(home, "job", "list", "-c", "coupon") == before
+    # Where the image cannot be read now nobody knows, and jobs are queued as ever.
+    files = home / "archive" / "coupon"
+    files.rename(home / "away")
+    try:
+        assert inside("job", "submit", "gauges", *given, "--dry-run").returncode == 0
+    finally:
+        (home / "away").rename(files)
+
+
 def test_the_merged_field_has_sections_too(done: tuple[Path, dict[str, Any]]) -> None:
     home, _ = done
     (merged,) = found_of(home, "merge where load_kN > 0.9")
-    section = run(
-        home, "data", "section", str(merged["id"]), "--from", "64,30", "--to", "64,100", "--step", "5"
-    )
+    wanted = ("data", "section", str(merged["id"]), "--from", "64,30", "--to", "64,100", "--step", "5")
+    section = run(home, *wanted)
     assert section["columns"] == [
         "distance_px", "column_px", "row_px", "displacement_X", "displacement_Y", "pixels",
     ]  # fmt: skip
+    assert section["units"] == ["px", "px", "px", "mm", "mm", "1"]
+    assert "displacement_X [mm]  displacement_Y [mm]" in inside(*wanted, "--home", str(home)).stdout
     for _, _, row, _, up, _ in section["rows"]:
         # Held at the lower end, and pulled upwards: in mm, to a hundredth of a pixel.
         assert up == pytest.approx(ALONG[2] * (SIZE - row) * SCALE, abs=0.02 * SCALE)

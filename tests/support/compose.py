@@ -16,6 +16,7 @@ import pytest
 import redis
 
 from support.command import wait_until
+from support.missing import do_without
 from support.servers import free_port, postgresql_programs
 
 OPS = Path(__file__).resolve().parents[2] / "ops"
@@ -73,8 +74,10 @@ def compose_servers(
 ) -> Iterator[ComposeServers]:
     """Run both servers, on a computer of a network if one is given; without the programs it skips."""
     programs = postgresql_programs()
-    if programs is None or shutil.which("redis-server") is None or shutil.which("openssl") is None:
-        pytest.skip("needs PostgreSQL, Redis and openssl")
+    if programs is None or shutil.which("redis-server") is None:
+        do_without("needs PostgreSQL and Redis: install them, or run ops/test.sh")
+    if shutil.which("openssl") is None:
+        pytest.skip("needs openssl")
     if os.geteuid() != 0:
         pytest.skip("keys are given to the accounts of the servers, which needs root")
     # Not among the folders of the tests, which are closed to the account of the server.

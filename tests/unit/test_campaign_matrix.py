@@ -34,7 +34,7 @@ from sms_jobs.records.shown.cells import Cell
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 FAILED = "no texture: <b>0</b> matches of 900, and 50 are needed; light the specimen"
-STATES, VIEWS = 300, 8
+STATES, VIEWS = 300, 10
 SHOWN = 50
 """States that the page shows at once."""
 
@@ -209,6 +209,16 @@ def test_states_are_gone_through_portion_by_portion(client: httpx2.Client) -> No
         first = int(after[1])
     assert seen == [f"S{k:03}" for k in range(STATES)]
     assert "S299-C1P1" in page_of(client, "many", 10_000)  # behind the last is the last
+
+
+def test_the_page_shows_views_in_the_order_of_the_command(services: Services, client: httpx2.Client) -> None:
+    home = str(services.settings.home)
+    words = ["matrix", "many", "--state", "S001", "--home", home, "--json"]
+    told = [one["view"] for one in json.loads(CliRunner().invoke(command.app, words).stdout)]
+    page = page_of(client, "many")
+    for places in (r'id="tuples-S001-(C\d+P1)-strain"', r'<img [^>]*alt="strain S000 (C\d+P1)"'):
+        shown = list(dict.fromkeys(re.findall(places, page)))
+        assert shown == list(dict.fromkeys(told)) == [f"C{k}P1" for k in range(1, VIEWS + 1)]
 
 
 def test_some_states_alone_are_told_of(services: Services, client: httpx2.Client) -> None:

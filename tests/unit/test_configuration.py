@@ -59,7 +59,11 @@ def changed(old: str, new: str) -> CampaignPlan:
 def test_the_example_is_read_as_it_is_written() -> None:
     plan = parse_campaign(example_campaign(), "example")
     campaign = plan.campaign
-    assert (campaign.name, campaign.rig, campaign.views) == ("plate-tension", "virtual", ("C1P1", "C2P1"))
+    assert (campaign.name, campaign.rig, campaign.views) == (
+        "plate-tension",
+        "virtual-plate",
+        ("C1P1", "C2P1"),
+    )
     assert [s.load_n for s in campaign.states] == [0.0, 20_000.0, 40_000.0]
     assert campaign.states[1].channels == {"gauge_1": 0.00057}
     assert campaign.scene is not None
@@ -183,7 +187,7 @@ MISTAKES = [
     ("columns = 800", "columns = 800_000", "scene.sensors[P1].columns should be less than or equal to 20000"),
     ('name = "P1"', 'name = "Q1"', "scene.sensors[Q1].name should be C1, C2, ... for a camera"),
     ('name = "P1"', 'name = "C2"', "two sensors of the scene have one name: C1, C2, C2"),
-    ('"C2P1"', '"C3P1"', "rig virtual has no sensor C3; it has C1, C2, P1"),
+    ('"C2P1"', '"C3P1"', "rig virtual-plate has no sensor C3; it has C1, C2, P1"),
     ('"C2P1"', '"C1P1"', "views names one view twice"),
     ('"C2P1"', '"P1C2"', "'P1C2' is not a view"),
     ("position_mm = [0.0, -40.0, 1000.0]", "", "scene.sensors[P1] needs either position_mm and target_mm"),

@@ -284,6 +284,20 @@ def test_what_a_function_takes_fits_in_the_head() -> None:
     assert reading().all_of(what_takes_too_much) == []
 
 
+def test_what_is_installed_for_the_tests_is_not_left_out_silently() -> None:
+    # Where CI=true, support.missing fails what would be skipped elsewhere.
+    def skips(path: Path) -> Iterator[str]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if (
+                isinstance(node, ast.Call)
+                and name_of(node.func) == "skip"
+                and "ops/test.sh" in ast.unparse(node)
+            ):
+                yield f"{relative(path)}:{node.lineno}"
+
+    assert [place for path in TESTS for place in skips(path)] == []
+
+
 def test_no_module_needs_one_that_needs_it() -> None:
     # An import within a function, or for types alone, hides a circle from Python, not from the reader.
     modules = {module_name(path): path for path in SOURCES}

@@ -20,12 +20,14 @@ def test_channels_are_found_again_by_what_they_read_before() -> None:
 
 
 def test_losses_are_told_in_words() -> None:
-    told = {names.lost_to(reason): 0.5 for reason in Reason if reason}
-    words = names.losses({**told, names.VALID_FRACTION: 0.0})
-    assert set(words.values()) == {0.5}
-    assert {word.replace(" ", "_").upper() for word in words} == {reason.name for reason in Reason if reason}
-    # Points have other parts than pixels.
-    assert not {names.fraction_of_points(reason) for reason in Reason} & set(told)
+    of_pixels = {names.lost_to(reason): 0.5 for reason in Reason if reason}
+    of_points = {names.fraction_of_points(reason): 0.25 for reason in Reason if reason}
+    told = {**of_pixels, **of_points, names.VALID_FRACTION: 0.0}
+    for part, value in ((names.lost_to, 0.5), (names.fraction_of_points, 0.25)):
+        words = names.losses(told, part)
+        assert set(words.values()) == {value}
+        named = {word.replace(" ", "_").upper() for word in words}
+        assert named == {reason.name for reason in Reason if reason}
 
 
 def test_a_gauge_is_read_as_it_was_written() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.views import Role, View, is_view, place_of, role_of, sensor_name, view_of
+from sms_jobs.records.views import Role, View, is_view, place_of, place_of_view, role_of, sensor_name, view_of
 
 
 @pytest.mark.parametrize(
@@ -81,6 +81,8 @@ def test_a_name_says_a_role_and_a_place() -> None:
     names = [sensor_name(role, number) for role in Role for number in (1, 2, 10)]
     assert names == ["C1", "C2", "C10", "P1", "P2", "P10"]
     assert sorted(["P10", "C10", "P2", "C2", "P1", "C1"], key=place_of) == names
+    views = ["C1", "C1C2", "C1C10", "C1P1", "C2P1", "C10P1"]
+    assert sorted(["C10P1", "C2P1", "C1P1", "C1C10", "C1C2", "C1"], key=place_of_view) == views
     assert [role_of(name) for name in ("C2", "P2")] == [Role.CAMERA, Role.PROJECTOR]
     with pytest.raises(InvalidInput, match="'left' cannot be the name of a sensor"):
         role_of("left")

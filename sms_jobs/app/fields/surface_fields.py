@@ -186,6 +186,8 @@ class Section:
         Its number.
     columns, rows
         A table: distance and place in mm, or in px of a camera alone, the values, and how many pixels.
+    units
+        That of each column; "1" of a ratio and of the number of pixels.
     profile, field, unit
         What is drawn: the values over the distance, what they are, and the unit of the distance.
     """
@@ -193,9 +195,19 @@ class Section:
     file: int
     columns: tuple[str, ...]
     rows: tuple[tuple[float | int | None, ...], ...]
+    units: tuple[str, ...]
     profile: Profile
     field: NamedField
     unit: str
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """How the columns are called in a table for people: the values with their unit, as others have it."""
+        values = self.field.columns
+        return tuple(
+            f"{name} [{unit}]" if name in values else name
+            for name, unit in zip(self.columns, self.units, strict=True)
+        )
 
     def drawn(self) -> bytes:
         """Return the field over the distance as PNG."""
@@ -206,7 +218,7 @@ class Section:
     def table(self) -> str:
         """Return the rows as CSV."""
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([self.columns, *self.rows])
+        csv.writer(text, lineterminator="\n").writerows([self.headings, *self.rows])
         return text.getvalue()
 
 
@@ -270,18 +282,18 @@ def section(
             f"no pixel with a value lies along the section from {_point_text(start)} to {_point_text(end)}; "
             f"the field {_extent_text(own, values.values)}: give two points on it"
         )
-    columns = ["distance_mm", "X_mm", "Y_mm", "Z_mm", *values.columns, "pixels"]
-    rows = [
-        [*map(_plain, (d, *place, *each)), int(count)]
+    # In an image there is no third coordinate.
+    places = ("distance_px", "column_px", "row_px") if flat else ("distance_mm", "X_mm", "Y_mm", "Z_mm")
+    unit = "px" if flat else "mm"
+    rows = tuple(
+        (*map(_plain, (d, *place[: len(places) - 1], *each)), int(count))
         for d, place, each, count in zip(
             profile.distance, profile.position, profile.value.T, profile.pixels, strict=True
         )
-    ]
-    if flat:
-        # No third coordinate.
-        columns = ["distance_px", "column_px", "row_px", *columns[4:]]
-        rows = [[*row[:3], *row[4:]] for row in rows]
-    return Section(view.id, tuple(columns), tuple(map(tuple, rows)), profile, values, "px" if flat else "mm")
+    )
+    columns = (*places, *values.columns, "pixels")
+    units = (*[unit] * len(places), *[values.unit] * len(values.columns), "1")
+    return Section(view.id, columns, rows, units, profile, values, unit)
 
 
 def _point_text(place: Place) -> str:

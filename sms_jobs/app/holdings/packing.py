@@ -23,6 +23,7 @@ from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import CalibrationView
+from sms_jobs.records.sizes import number_of
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def unpack(
     Raises `InvalidInput` where the folder had faults.
     """
     if checked.faults:
-        raise InvalidInput(f"{len(checked.faults)} files of {folder} are not as they were packed")
+        raise InvalidInput(f"not as packed: {number_of(len(checked.faults), 'file')} of {folder}")
     placed = 0
 
     def tell_placed(count: int) -> None:

@@ -125,7 +125,9 @@ def _succeed(services: Services, ids: Sequence[str], tell: Callable[[Waiting], N
     waited = wait_for(services, chosen.by_ids(ids), tell=tell)
     if waited.failures:
         home = services.settings.home
-        raise JobFailed(f"{waited.failures} jobs of the demo did not succeed; {waited.failure} --home {home}")
+        raise JobFailed(
+            f"{number_of(waited.failures, 'job')} of the demo did not succeed; {waited.failure} --home {home}"
+        )
 
 
 def _calibration(session: Campaign, known: KnownCalibration) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from sms_jobs.jobs.monitoring import health
 from sms_jobs.jobs.running import liveness
 from sms_jobs.jobs.running.origin import Origin
 from sms_jobs.records.job import ALIVE_WITHIN
-from sms_jobs.records.sizes import size
+from sms_jobs.records.sizes import number_of, size
 from sms_jobs.settings import Settings
 
 _LITTLE_ROOM_BYTES = 10e9
@@ -145,7 +145,9 @@ def _of_the_catalogue(services: Services) -> dict[str, Examination]:
 
     def drift() -> Examined:
         found = schema.differences_from_models(catalogue)
-        return _one(f"{len(found)} differences from this version's: {found[0]}" if found else None)
+        return _one(
+            f"{number_of(len(found), 'difference')} from this version's: {found[0]}" if found else None
+        )
 
     def contents() -> Examined:
         with catalogue.reading() as session:

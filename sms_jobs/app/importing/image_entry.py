@@ -27,6 +27,7 @@ from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, insp
 from sms_jobs.jobs.archiving.importing import amend_campaign, existing_measurement, import_measurement
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.people import Right
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ def arranged(
     names = [name for name in listing.files if is_image(name)]
     if not names:
         raise InvalidInput(
-            f"{listing.folder} has no image among {len(listing.files)} files: give the folder of the images"
+            f"{listing.folder} has no image among {number_of(len(listing.files), 'file')}: "
+            "give the folder of the images"
         )
     text = pattern or guess_image_pattern(names, named)
     found = arrange_images(listing, NamePattern.parse(text, named), camera, reference, named)

@@ -12,7 +12,7 @@ from sms_jobs.catalogue.campaigns import campaign_row, state_ids
 from sms_jobs.errors import NotFound
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.cells import Cell
-from sms_jobs.records.views import place_of, view_of
+from sms_jobs.records.views import place_of_view
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign
@@ -25,8 +25,8 @@ def in_order(cells: Iterable[Cell], campaign: Campaign) -> list[Cell]:
     """
     states = {state.label: number for number, state in enumerate(campaign.states)}
 
-    def place(cell: Cell) -> tuple[int, bool, list[tuple[int, int]]]:
-        view = [] if cell.view is None else [place_of(name) for name in view_of(cell.view).sensors]
+    def place(cell: Cell) -> tuple[int, bool, tuple[tuple[int, int], ...]]:
+        view = () if cell.view is None else place_of_view(cell.view)
         return states.get(cell.state or "", len(states)), cell.view is None, view
 
     return sorted(cells, key=place)

@@ -17,6 +17,7 @@ from sms_jobs.jobs.running.empty_results import EmptyResults, empty_results
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
+from sms_jobs.records.sizes import number_of
 
 _EVERY_S = 0.25
 _OUTLOOK_EVERY_S = 5.0
@@ -83,14 +84,14 @@ class Waited:
         """Raise `JobFailed` where one did not succeed."""
         if self.failures:
             total = sum(self.counted.values())
-            raise JobFailed(f"{self.failures} of {total} jobs did not succeed; {self.failure}")
+            raise JobFailed(f"{self.failures} of {number_of(total, 'job')} did not succeed; {self.failure}")
 
 
 def timed_out(active: int, counted: dict[str, int], timeout_s: float) -> WaitTimedOut:
     """Say that jobs have not ended in time."""
     return WaitTimedOut(
-        f"{active} of {sum(counted.values())} jobs have not ended after {timeout_s:g} s; they go on; "
-        "see 'sms job list'"
+        f"{active} of {number_of(sum(counted.values()), 'job')} {'has' if active == 1 else 'have'} not ended "
+        f"after {timeout_s:g} s; they go on; see 'sms job list'"
     )
 
 

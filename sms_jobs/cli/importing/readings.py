@@ -113,7 +113,7 @@ gauges = _command(
 def _confirm(found: Arranged) -> None:
     for column in found.columns:
         output.say(f"guessed: {column.header} becomes {column.target}")
-    confirm(f"Enter {len(found.changes)} values of {found.source}?")
+    confirm(f"Enter {number_of(len(found.changes), 'value')} of {found.source}?")
 
 
 def _tell(entered: Arranged, campaign: str, dry_run: bool, as_json: bool) -> None:

@@ -18,6 +18,7 @@ from sms_jobs.formats.importers.folders import Listing, NamePattern, natural
 from sms_jobs.formats.importers.frames import is_image
 from sms_jobs.formats.importers.image_files import RawFormat, read_image
 from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.views import FRINGES_PATTERN
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ def guess_layout(listing: Listing, given: Mapping[str, Any], sequence: FringeSeq
     images = [name for name in listing.files if is_image(name)]
     if not images:
         raise InvalidInput(
-            f"{listing.folder} has no image among {len(listing.files)} files: give the folder of the frames"
+            f"{listing.folder} has no image among {number_of(len(listing.files), 'file')}: "
+            "give the folder of the frames"
         )
     if "pattern" not in table:
         table = {"pattern": guess_pattern(images), **table}

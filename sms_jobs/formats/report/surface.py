@@ -23,6 +23,7 @@ from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quantity import STRAIN_COMPONENTS, SYMMETRIC, XYZ
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sizes import number_of
 
 MICROSTRAIN = 1e6
 PER_CENT = 100.0
@@ -51,7 +52,7 @@ def reference_view(
     notes: tuple[str, ...] = ()
     if regions is not None:
         count = len(regions.regions)
-        notes = (f"The outlines show {count} continuous piece{'s' if count != 1 else ''} of surface.",)
+        notes = (f"The outlines show {number_of(count, 'continuous piece')} of surface.",)
     notes += _said_of_calibration(surface.has_depth, surface.sigma_calibration)
     return View(
         f"{surface.camera} ({view})" if surface.has_depth else view,
@@ -307,7 +308,7 @@ def _displacement_statistics(
             for axis, component in zip(XYZ, merged.displacement, strict=False)
         ),
         most,
-        Statistic("sigma, median", unit, _median(sigma), group=group),
+        Statistic("sigma of the length, median", unit, _median(sigma), group=group),
         *_calibrations_part(merged.sigma_calibration, unit, group),
         *_resolution(merged, group),
         Statistic("disagreement of the views, rms", unit, _finite(merged.discrepancy_rms), group=group),

@@ -47,10 +47,17 @@ def register_campaign(
     Conflict
         There is a campaign of that name; nothing is changed.
     InvalidInput
-        It sets a parameter that its job kind does not take; nothing is changed.
+        It sets a parameter that its job kind does not take, or declares a gauge outside of the only images
+        that it is read from; nothing is changed.
     """
     for name, parameters in campaign.processing.items():
         kind_named(name).checked_parameters(parameters)
+    if campaign.processing:
+        # Not at the top: those who bring in nothing but calibrations need no kind.
+        from sms_jobs.kinds.gauges_in_images import check_declared
+
+        calibrated = None if calibration is None else calibration.rig
+        check_declared(campaign, calibrated if campaign.scene is None else campaign.scene.rig)
     with catalogue.reading() as session:
         campaigns.refuse_taken_name(session, campaign.name)
     with Repository(catalogue, archive).batch() as batch:

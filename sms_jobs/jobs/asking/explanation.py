@@ -14,6 +14,7 @@ from sms_jobs.catalogue.tables.queues import DependencyRow, QueueRow
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.running import empty_results
 from sms_jobs.records.job import ALIVE_WITHIN, SHORT_ID, JobState
+from sms_jobs.records.sizes import number_of
 
 
 def explain(session: Session, job: JobRow, now: datetime) -> list[str]:
@@ -45,14 +46,14 @@ def _why_waiting(session: Session, job: JobRow) -> list[str]:
 
 
 def _why_queued(session: Session, job: JobRow, now: datetime) -> list[str]:
-    ahead = session.scalar(
+    ahead = session.execute(
         select(func.count()).where(
             JobRow.state == JobState.QUEUED,
             JobRow.queue == job.queue,
             (JobRow.priority > job.priority)
             | ((JobRow.priority == job.priority) & (JobRow.position < job.position)),
         )
-    )
+    ).scalar_one()
     held_back = session.get(QueueRow, job.queue)
     if held_back is not None and held_back.paused_at is not None:
         hint = (
@@ -67,7 +68,8 @@ def _why_queued(session: Session, job: JobRow, now: datetime) -> list[str]:
     if alive and all(w.held_for is not None for w in alive):
         return [f"worker {w.id} claims no job: {w.held_for}; it goes on by itself" for w in alive]
     devices = [f"it needs {lock}" for lock in locks.waited_for(session, job.id, now)]
-    return [*devices, f"{ahead} jobs of the queue '{job.queue}' come before it"]
+    before = f"{number_of(ahead, 'job')} of the queue '{job.queue}' {'comes' if ahead == 1 else 'come'}"
+    return [*devices, f"{before} before it"]
 
 
 def _why_computed(session: Session, job: JobRow) -> list[str]:

@@ -17,6 +17,7 @@ from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import StorageFull, StorageUnusable
 from sms_jobs.jobs.running import queues
+from sms_jobs.records.sizes import number_of
 
 _LOOK_FOR_S = 8.0
 
@@ -146,6 +147,6 @@ def pauses(session: Session) -> list[str]:
         )
         found.append(
             f"the queue '{queue.name}' is paused since {queue.paused_at:%Y-%m-%d %H:%M} UTC with "
-            f"{queue.queued} jobs in it: {queue.reason}; {hint}"
+            f"{number_of(queue.queued, 'job')} in it: {queue.reason}; {hint}"
         )
     return found

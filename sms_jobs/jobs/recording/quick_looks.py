@@ -23,6 +23,7 @@ from sms_jobs.records.job import ACTIVE, SHORT_ID, JobState
 from sms_jobs.records.shown.notifications import Topic
 from sms_jobs.records.shown.planned_recordings import Status
 from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
     DOUBTS,
     GAUGE_QUANTITIES,
@@ -171,6 +172,6 @@ def _why_none(found: Sequence[QuickLookView], label: str) -> str:
     """Say why a state's quick looks have no value of a gauge."""
     if not found:
         return f"there is no quick look at {label}"
-    why = "; ".join(one.doubts or f"{one.gauges_lost} gauges have no value" for one in found)
+    why = "; ".join(one.doubts or f"no value of {number_of(one.gauges_lost, 'gauge')}" for one in found)
     jobs = ", ".join(one.job_id[:SHORT_ID] for one in found)
     return f"the quick look at {label}, job {jobs}, does not tell it ({why})"

@@ -19,6 +19,7 @@ from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.running import lifecycle
 from sms_jobs.jobs.running.orders import SOMEBODY
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState, origins
+from sms_jobs.records.sizes import number_of
 
 _PAUSE_S = 0.05
 _PART = 200
@@ -111,7 +112,8 @@ def retry(catalogue: Catalogue, campaign: str, now: datetime, by: str = SOMEBODY
         left = session.scalar(select(JobRow.id).where(*some.where, JobRow.state.in_(_RETRYABLE)).limit(1))
     if left is not None:
         raise Conflict(
-            f"{count} jobs run again, but job {left[:8]} needs one that did not succeed; retry that one first"
+            f"{number_of(count, 'job')} {'runs' if count == 1 else 'run'} again, but job {left[:8]} needs "
+            "one that did not succeed; retry that one first"
         )
     return count
 

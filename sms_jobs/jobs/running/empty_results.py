@@ -13,7 +13,7 @@ from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.records.job import JobState
-from sms_jobs.records.statistic_names import VALID_FRACTION_OF_IMAGE, losses, losses_of_points
+from sms_jobs.records.statistic_names import VALID_FRACTION_OF_IMAGE, fraction_of_points, losses, lost_to
 
 _MOST_ASKED = 20  # results
 _MOST_TOLD = 2  # reasons
@@ -60,7 +60,8 @@ def explanation(session: Session, file_id: int) -> str:
 def _reasons(session: Session, file_id: int) -> str:
     """Return what took most of the pixels of a file, or of the points that were matched; "" if unknown."""
     statistics = search.statistics(session, file_id)
-    for what, lost in (("lit pixels", losses(statistics)), ("points", losses_of_points(statistics))):
+    for what, part in (("lit pixels", lost_to), ("points", fraction_of_points)):
+        lost = losses(statistics, part)
         worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]
         if worst:
             return f"of the {what} are lost " + " and ".join(f"{lost[n]:.0%} by {n}" for n in worst)

@@ -21,6 +21,7 @@ from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.running.origin import Origin, is_gone
 from sms_jobs.jobs.running.witness import origin_of
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
+from sms_jobs.records.sizes import number_of
 
 _MISSED_FOR = timedelta(days=1)
 """A worker that vanished is a finding for so long."""
@@ -77,19 +78,20 @@ def _nobody(session: Session, recent: _Workers) -> Iterator[str]:
         return
     counted = job_counts.counted(session, JobCountRow.state, states=ACTIVE)
     left, running = sum(counted.values()), counted.get((JobState.RUNNING,), 0)
-    also = f", and {running} count as running" if running else ""
+    also = f", and {running} {'counts' if running == 1 else 'count'} as running" if running else ""
+    wait = f"{number_of(left, 'job')} {'waits' if left == 1 else 'wait'}"
     yield (
-        f"no worker is alive: {left} jobs wait for one{also}; start the service with 'sms up', or "
-        "'systemctl start sms'"
+        f"no worker is alive: {wait} for one{also}; start the service with 'sms up', or 'systemctl start sms'"
     )
 
 
 def _without_processes(recent: _Workers, now: datetime) -> Iterator[str]:
     for row in recent.serving:
         if row.processes == 0 and now - row.started_at > ALIVE_WITHIN:
+            none = f"none of its {row.concurrency} processes" if row.concurrency > 1 else "no process"
             yield (
-                f"worker {row.id} on {row.host} has none of its {row.concurrency} processes, which end "
-                f"as soon as they begin; 'logs/worker-{row.id}.log' in that host's home says why"
+                f"worker {row.id} on {row.host} has {none}: each ends as soon as it begins; "
+                f"'logs/worker-{row.id}.log' in that host's home says why"
             )
 
 
@@ -108,9 +110,10 @@ def _idle_beside_work(session: Session, recent: _Workers, now: datetime) -> Iter
         since = _queued_since(session, row.queues.split(","), now)
         if since is not None and now - since > _TAKES_WITHIN:
             yield (
-                f"worker {row.id} on {row.host} runs {running} of {row.concurrency} jobs and has not taken "
-                f"the next, which it could since {since:%Y-%m-%d %H:%M:%S} UTC; look whether its processes "
-                f"are stopped and at 'logs/worker-{row.id}.log' there, then start the service there again"
+                f"worker {row.id} on {row.host} runs {running} of {number_of(row.concurrency, 'job')} and "
+                f"has not taken the next, which it could since {since:%Y-%m-%d %H:%M:%S} UTC; look whether "
+                f"its processes are stopped and at 'logs/worker-{row.id}.log' there, then start the service "
+                "there again"
             )
 
 

@@ -34,6 +34,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.products import BAR, BOARD, CALIBRATED, QUALITY, UNCERTAINTY
 from sms_jobs.records.campaign import Campaign
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 
 
@@ -66,7 +67,7 @@ def run(inputs: Inputs, parameters: CalibrateParameters, progress: Progress) -> 
             "calibration from boards alone in a session without a bar"
         )
     start = _start(inputs, plan, boards)
-    progress(0.2, f"adjusting {len(bars)} poses of the bar and {len(boards)} of boards together")
+    progress(0.2, f"adjusting {number_of(len(bars), 'pose')} of the bar and {len(boards)} of boards together")
     origin = f"bundle adjustment of session {plan.name}"
     yield from adjusted(inputs, plan, start, boards, bars, parameters, progress, origin, exchanged)
 

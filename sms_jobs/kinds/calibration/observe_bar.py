@@ -51,6 +51,7 @@ from sms_jobs.records.artefacts import BallBar
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.observations import BarObservation
 from sms_jobs.records.sensors import Sensor, SensorFormat
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -159,7 +160,7 @@ def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) ->
     )
     blur = start_blur(inputs, camera_name) if parameters.blur_px is None else parameters.blur_px
     observation = _observation(shown, camera, projector, maps, search, blur)
-    progress(1.0, f"found {len(search.spheres)} spheres")
+    progress(1.0, f"found {number_of(len(search.spheres), 'sphere')}")
     yield DatasetOutput(inputs.subject, {BAR: observation}, _statistics(observation, search))
 
 

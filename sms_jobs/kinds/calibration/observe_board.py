@@ -30,6 +30,7 @@ from sms_jobs.records.artefacts import Artefact, Chessboard, CircleBoard, DotCyl
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.observations import BoardObservation
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -92,7 +93,7 @@ def run(inputs: Inputs, parameters: ObserveBoardParameters, progress: Progress) 
         both = np.sqrt(np.mean(np.square(maps.sigma), axis=0))
         carried = carry_to_projector(maps.pixel, both, found.centre_px, found.sigma_px, found.radius_px)
         observation = _observation(shown, found, carried)
-    progress(1.0, f"found {len(observation.point)} points")
+    progress(1.0, f"found {number_of(len(observation.point), 'point')}")
     yield DatasetOutput(inputs.subject, {BOARD: observation}, _statistics(observation))
 
 

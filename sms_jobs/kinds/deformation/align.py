@@ -39,6 +39,7 @@ from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject, checked_name
 
 _ROUNDS = 2  # the second starts from what the first found, and so finds points at the rim of the overlap
@@ -133,7 +134,7 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
             f"alignment_scale_{number}": found.scale,
             f"points_{number}": float(len(points.here)),
         }
-        progress(number / len(parameters.views), f"aligned {name} by {len(points.here)} points")
+        progress(number / len(parameters.views), f"aligned {name} by {number_of(len(points.here), 'point')}")
     yield DatasetOutput(inputs.subject, records, statistics)
 
 

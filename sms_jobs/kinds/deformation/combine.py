@@ -35,6 +35,7 @@ from sms_jobs.records.field_names import (
     sigma_of,
 )
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 
 _VALUES = (
@@ -75,9 +76,11 @@ def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> It
         there = inputs.read(_MERGED, MESH, replace(inputs.subject, campaign=view))
         axis = _axis_of(there, view)
         surfaces.append(brought(_surface(there), pose, own_axis, axis))
-    progress(0.3, f"brought {len(parameters.views)} views into the frame of {inputs.subject.campaign}")
+    progress(
+        0.3, f"brought {number_of(len(parameters.views), 'view')} into the frame of {inputs.subject.campaign}"
+    )
     apart, pairs = differences(surfaces)
-    progress(0.6, f"compared {len(pairs)} overlaps")
+    progress(0.6, f"compared {number_of(len(pairs), 'overlap')}")
     vertices, faces, view_of, vertex = join_meshes([(s.vertices, s.faces) for s in surfaces])
     values = [
         _values(surface, number, difference)[:, vertex[view_of == number]]
@@ -94,7 +97,7 @@ def run(inputs: Inputs, parameters: CombineParameters, progress: Progress) -> It
             f"stated_difference_mm_{between}": float(stated),
             f"overlap_vertices_{between}": float(len(both)),
         }
-    progress(1.0, f"joined {len(surfaces)} views")
+    progress(1.0, f"joined {number_of(len(surfaces), 'view')}")
     yield DatasetOutput(inputs.subject, {MESH: mesh}, statistics)
 
 

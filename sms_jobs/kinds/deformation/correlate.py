@@ -73,6 +73,7 @@ from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import maximum_displacement
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
@@ -107,7 +108,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     """Match the textures region by region and look the displacement up in both states' surfaces."""
     whole = before = read_reference(inputs, _REFERENCE, parameters)
     after = read_later(inputs, _DEFORMED, parameters, before)
-    progress(0.2, f"{len(before.regions.areas)} regions in the reference state")
+    progress(0.2, f"{number_of(len(before.regions.areas), 'region')} in the reference state")
     last = None
     if inputs.has(_MATCHED_BEFORE):
         last = read_later(inputs, _BEFORE, parameters, before)

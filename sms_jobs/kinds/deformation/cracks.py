@@ -31,6 +31,7 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.cracks import CrackOpenings
 from sms_jobs.records.fields import DisplacementField, Surface
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 
 _OPEN = 3.0  # standard deviations from which on a crack is open
@@ -68,7 +69,7 @@ def run(inputs: Inputs, parameters: CracksParameters, progress: Progress) -> Ite
     origin = {region.label: region.piece_of or region.label for region in regions.regions}
     found = list(crack_openings(field, origin, parameters.spacing_px))
     record = _record(found, moved, surface)
-    progress(1.0, f"{len(found)} cracks")
+    progress(1.0, number_of(len(found), "crack"))
     yield DatasetOutput(inputs.subject, {CRACKS: record}, _statistics(record))
 
 

@@ -38,6 +38,7 @@ from sms_jobs.records.fields import DisplacementField, Regions, StrainMeasure, S
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import AT_ORIGIN
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import GAUGES as GAUGES_GIVEN
 from sms_jobs.records.statistic_names import GAUGES_READ
 from sms_jobs.records.subject import Subject
@@ -145,7 +146,7 @@ def read_gauges(
             parts.append(
                 gauge_sigma(states, surface, moved, found[-1], frame, place.angle_rad, green_lagrange=green)
             )
-        progress(number / len(places), f"read {number} of {len(places)} gauges")
+        progress(number / len(places), f"read {number} of {number_of(len(places), 'gauge')}")
     part = np.array(parts, dtype=np.float32) if parts else None
     return replace(_readings(found, surface, parameters), sigma_calibration=part)
 

@@ -63,6 +63,7 @@ from sms_jobs.records.field_names import (
 from sms_jobs.records.fields import Axis, DisplacementField, MergedField, Mesh, Surface
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import maximum_displacement, of_camera
 from sms_jobs.records.subject import Subject
 
@@ -119,7 +120,7 @@ def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iter
     meshes = {MESH.of(s.field.camera): _joined([s.mesh]) for s in seen if s not in in_world}
     if in_world:
         meshes[MESH] = _joined([one.mesh for one in in_world])
-    progress(1.0, f"joined {len(in_world)} cameras")
+    progress(1.0, f"joined {number_of(len(in_world), 'camera')}")
     yield DatasetOutput(inputs.subject, {**records, **meshes}, _statistics(seen, list(meshes.values())))
 
 

@@ -20,6 +20,7 @@ from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.field_names import POSITION, TEXTURE, sigma_of
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import of_camera
 from sms_jobs.records.subject import Subject
 
@@ -64,7 +65,7 @@ def run(inputs: Inputs, parameters: MeshParameters, progress: Progress) -> Itera
     names, units = zip(*_VALUES, strict=True)
     mesh = Mesh(names, units, vertices, faces, np.concatenate(at_vertices, axis=1))
     statistics |= {"vertices": float(len(vertices)), "faces": float(len(faces))}
-    progress(1.0, f"joined {len(surfaces)} views")
+    progress(1.0, f"joined {number_of(len(surfaces), 'view')}")
     yield DatasetOutput(inputs.subject, {MESH: mesh}, statistics)
 
 

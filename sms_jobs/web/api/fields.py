@@ -48,6 +48,7 @@ def section(
     facts = {
         "file": found.file,
         "columns": found.columns,
+        "units": found.units,
         "rows": found.rows,
         "unit": found.unit,
         "scatter": found.profile.scatter.tolist(),

@@ -72,14 +72,15 @@ def show(
     cells = campaign_matrix.matrix(services, name, states)
     offered = kinds.list_kinds(services)
     order = list(dict.fromkeys(cell.kind for cell in cells))
+    cells = campaign_matrix.in_order(cells, story.campaign)
     pictured = [c for c in cells if c.view is not None and c.pictured]
     documents = [c for c in cells if c.file is not None and c.media_type != _DATASET]
     return page.render(
         "campaign.html",
         story=story,
         campaign=story.campaign,
-        tuples=matrix([c for c in cells if c.view is not None], states, order),
-        wholes=matrix([c for c in cells if c.view is None], states, order),
+        tuples=matrix([c for c in cells if c.view is not None], order),
+        wholes=matrix([c for c in cells if c.view is None], order),
         pictures=_latest(pictured, order)[:_PICTURES],
         documents=documents,
         progress=recordings.progress(services, name, states),
@@ -103,20 +104,18 @@ def _remaining(services: Services, name: str, counted: Mapping[str, int]) -> job
     return _REMAINING.of(known_by, lambda: jobs.remaining(services, name))
 
 
-def matrix(cells: Sequence[Cell], states: Sequence[str], order: Sequence[str]) -> Matrix:
-    """Lay cells out: a row for each state and view, a column for each kind that there is anything of."""
+def matrix(cells: Sequence[Cell], order: Sequence[str]) -> Matrix:
+    """Lay cells out in their order: a row for each state and view, a column for each kind that is there."""
     columns = tuple(sorted({c.kind for c in cells}, key=lambda name: _place(name, order)))
     found = {(c.state or "", c.view or "", c.kind): c for c in cells}
-    places = sorted(
-        {(state, view) for state, view, _ in found}, key=lambda one: (_place(one[0], states), one[1])
-    )
+    places = dict.fromkeys((state, view) for state, view, _ in found)
     rows = [Row(state, view, tuple(found.get((state, view, k)) for k in columns)) for state, view in places]
     return Matrix(columns, tuple(rows))
 
 
 def _latest(cells: Iterable[Cell], order: Sequence[str]) -> list[Cell]:
-    """Return those whose kind comes last in the chain first."""
-    return sorted(cells, key=lambda cell: (-_place(cell.kind, order), cell.state or "", cell.view or ""))
+    """Return those whose kind comes last in the chain first, and else in their order."""
+    return sorted(cells, key=lambda cell: -_place(cell.kind, order))
 
 
 def _place(name: str, order: Sequence[str]) -> int:

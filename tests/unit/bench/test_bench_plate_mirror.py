@@ -64,4 +64,6 @@ def test_the_plane_is_that_of_what_is_lit_once(plate: Plate) -> None:
 
 
 def test_the_masks_that_are_lifted_exist() -> None:
-    ReconstructParameters(**plate_mirror.UNMASKED)  # type: ignore[arg-type]
+    lifted = ReconstructParameters(**plate_mirror.UNMASKED)  # type: ignore[arg-type]
+    usual = ReconstructParameters()
+    assert [name for name in plate_mirror.UNMASKED if getattr(lifted, name) == getattr(usual, name)] == []

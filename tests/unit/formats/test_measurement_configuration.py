@@ -103,8 +103,8 @@ MISTAKES = [
         "scene.surface.shape should be one of 'plane'",
         "hardware/scene/surface",
     ),
-    ("<rig>virtual</rig>", "", "rig is missing", ""),
-    ("<rig>virtual</rig>", "<rig>a</rig><rig>b</rig>", "stands here twice", "hardware/rig"),
+    ("<rig>virtual-plate</rig>", "", "rig is missing", ""),
+    ("<rig>virtual-plate</rig>", "<rig>a</rig><rig>b</rig>", "stands here twice", "hardware/rig"),
     (
         "<seed>7</seed>",
         "<seed>7</seed><seed>8</seed>",
@@ -133,7 +133,7 @@ MISTAKES = [
         "hardware has no such element; its elements are rig",
         "hardware/lasers",
     ),
-    ("<cameras>1 2</cameras>", "<cameras>1 4</cameras>", "rig virtual has no sensor C4", None),
+    ("<cameras>1 2</cameras>", "<cameras>1 4</cameras>", "rig virtual-plate has no sensor C4", None),
     ("<specimen>", "<specimen/><specimen>", "stands here twice", "specimen"),
     (
         "<strain><gauge",

@@ -40,6 +40,13 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
     (tmp_path / "panel.odd").write_text("x", encoding="utf-8")
     with pytest.raises(InvalidInput, match="cannot be read as a mesh"):
         read_point_field(tmp_path / "panel.odd", None, 1.0)
+    sheet = tmp_path / "sheet.vtk"
+    lines = ["# vtk DataFile Version 3.0", "a sheet", "ASCII", "DATASET POLYDATA", "POINTS 3 float"]
+    sheet.write_text("\n".join([*lines, "0 0 0 1 0 0 0 1 0", "POLYGONS 1 4", "3 0 1 2"]), encoding="utf-8")
+    with pytest.raises(
+        InvalidInput, match=r"not POLYDATA.*save it as VTU, .* unstructured grid of legacy VTK"
+    ):
+        read_point_field(sheet, None, 1.0)
 
 
 def test_a_difference_is_drawn(rng: np.random.Generator) -> None:

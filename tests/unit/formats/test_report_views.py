@@ -186,3 +186,11 @@ def test_campaigns_are_charted_along_what_varies() -> None:
     assert "S03" not in along[0].places  # nothing was read
     assert "&lt;t&gt; [C]" in charts([], along).html
     json.loads(re.sub("<[^>]*>", "", axes_block(along).html))
+
+
+def test_the_median_of_a_lengths_deviation_is_called_so_and_not_as_that_of_the_vector() -> None:
+    # Along X the deviation is 1 um; that of the vector, as `median_sigma_mm` states it, is above 3 um.
+    covariance = np.diag([1e-6, 9e-6, 0.0])
+    told = {one.name: one.value for one in view(merged(np.array([0.1, 0.0, 0.0]), covariance)).statistics}
+    assert told["sigma of the length, median"] == pytest.approx(1e-3)
+    assert "sigma, median" not in told

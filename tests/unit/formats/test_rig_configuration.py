@@ -8,7 +8,18 @@ from pathlib import Path
 import pytest
 
 from sms_jobs.errors import ConfigurationError, NotFound
+from sms_jobs.formats import configuration
 from sms_jobs.formats.rig_configuration import example_rig, load_rig, parse_rig
+from sms_jobs.jobs.recording.lacking import lacking
+
+
+def test_the_example_has_what_is_lacking_to_no_example_of_a_plan_that_names_it() -> None:
+    rig = parse_rig(example_rig(), "rig.toml")
+    plans = (configuration.example_campaign, configuration.example_session, configuration.example_stereo)
+    campaigns = [configuration.parse_campaign(plan(), "plan").campaign for plan in plans]
+    named = [one for one in campaigns if one.rig == rig.name]
+    assert [one.session is not None for one in named] == [True]
+    assert [lacking(rig, one, one.views) for one in named] == [[]]
 
 
 def test_the_example_is_a_rig() -> None:

@@ -33,6 +33,16 @@ class GaugePlace:
     width: float
     angle_rad: float = 0.0
 
+    @property
+    def half_diagonal(self) -> float:
+        """Of the grid."""
+        return 0.5 * float(np.hypot(self.length, self.width))
+
+    @property
+    def reach(self) -> float:
+        """How far from its middle a gauge looks for a point to stand on; without one it reads nothing."""
+        return 0.25 * min(self.length, self.width) + self.half_diagonal / _LEAST_PIXELS
+
 
 @dataclass(frozen=True)
 class GaugeValue:
@@ -94,12 +104,11 @@ def read_gauge(
     flat = np.hypot(xyz[0] - place.x, xyz[1] - place.y)
     flat[~valid] = np.inf
     nearest = np.unravel_index(np.argmin(flat), flat.shape)
-    half = 0.5 * np.hypot(place.length, place.width)
-    if not flat[nearest] <= 0.25 * min(place.length, place.width) + half / _LEAST_PIXELS:
+    if not flat[nearest] <= place.reach:
         return _missing(valid)
     middle = xyz[:, nearest[0], nearest[1]]
     near = valid & (labels == labels[nearest])
-    near &= np.sum((xyz - middle[:, None, None]) ** 2, axis=0) <= half**2
+    near &= np.sum((xyz - middle[:, None, None]) ** 2, axis=0) <= place.half_diagonal**2
     points = xyz[:, near] - middle[:, None]
     if points.shape[1] < _LEAST_PIXELS:
         return _missing(valid)
