@@ -151,18 +151,16 @@ def _strain_rows(
     look among the same cells, wherever the rows begin.
     """
     first = step // 2
-    wide = 2 * reach + 2 + (block * step) // side
-    near = np.empty((ROWS, wide * wide))
+    near = np.empty((ROWS, (2 * reach + 2 + (block * step) // side) ** 2))
     sums = np.empty(SUMS)
     scatter, turned, mixed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     vectors, frame = np.empty((3, 3)), np.empty((3, 3))
     gradient, f, here = np.empty((2, 3)), np.empty((2, 3)), np.empty(6)
-    columns = strain.shape[2]
     for j in range(start // block, (stop - 1) // block + 1):
-        for i in range((columns - 1) // block + 1):
+        for i in range((strain.shape[2] - 1) // block + 1):
             count = -1
             for row in range(max(j * block, start), min((j + 1) * block, stop)):
-                for column in range(i * block, min((i + 1) * block, columns)):
+                for column in range(i * block, min((i + 1) * block, strain.shape[2])):
                     strain[:, row, column] = own[:, row, column] = match[:, row, column] = np.nan
                     r, c = first + step * row, first + step * column
                     if not valid[r, c]:
