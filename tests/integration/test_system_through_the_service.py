@@ -94,6 +94,26 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
         ((*plan, "--name", "long", "--bar", "900,22"), USAGE, "does not fit along X"),
         ((*plan, "--name", "none"), USAGE, "a test needs an artefact"),
         ((*plan, "--name", "odd", "--bar", "900"), USAGE, "--bar takes two numbers in mm"),
+        (
+            (*plan, "--name", "odd", "--bar", "150,22", "--bar-sigma", "0.005"),
+            USAGE,
+            "--bar-sigma takes two numbers in mm, as 0.005,0.002, not '0.005'",
+        ),
+        ((*plan, "--name", "odd", "--bar", "inf,22"), USAGE, "not 22 and inf mm"),
+        ((*plan, "--name", "odd", "--bar", "40,22"), USAGE, "a distance above twice that, not 22 and 40 mm"),
+        ((*plan, "--name", "odd", "--plate", "0,0"), USAGE, "higher than 0 mm, not 0 x 0 mm"),
+        ((*plan, "--name", "odd", "--plate=-10,20"), USAGE, "higher than 0 mm, not -10 x 20 mm"),
+        ((*plan, "--name", "odd", "--plate", "nan,20"), USAGE, "higher than 0 mm, not nan x 20 mm"),
+        (
+            (*plan, "--name", "odd", "--plate", "120,100", "--bar-sigma", "0.005,0.002"),
+            USAGE,
+            "--bar-sigma 0.005,0.002 belongs to --bar, which is not given",
+        ),
+        (
+            (*plan, "--name", "odd", "--bar", "150,22", "--plate-form-sigma", "0.002"),
+            USAGE,
+            "--plate-form-sigma 0.002 belongs to --plate, which is not given",
+        ),
     ):
         done = inside(*words)
         assert done.returncode == code, (words, done.stderr)

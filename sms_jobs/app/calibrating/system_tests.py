@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,7 +85,7 @@ def plan(
     Raises
     ------
     InvalidInput
-        There is no artefact, or one that does not fit in the volume.
+        There is no artefact, or one that has no size or does not fit in the volume.
     NotFound
         The rig has no calibration in use.
     Conflict
@@ -124,6 +124,11 @@ def _of_bar(
     from sms_jobs.metrology.geometry.volume_positions import bar_positions
     from sms_jobs.records.artefacts import BallBar
 
+    if not 0.0 < 2.0 * bar.radius_mm < bar.length_mm < inf:
+        raise InvalidInput(
+            "a bar's spheres have a radius above 0 mm and a distance above twice that, not "
+            f"{bar.radius_mm:g} and {bar.length_mm:g} mm; give what its certificate says"
+        )
     volume = calibration.volume
     stands = bar_positions(volume.low, volume.high, bar.length_mm, bar.radius_mm)
     shown = BallBar(bar.length_mm, bar.length_sigma_mm, bar.radius_mm, bar.radius_sigma_mm)
@@ -141,6 +146,11 @@ def _of_plate(
     from sms_jobs.records.scene import Plane
     from sms_jobs.records.views import Role
 
+    if not (0.0 < plate.width_mm < inf and 0.0 < plate.height_mm < inf):
+        raise InvalidInput(
+            f"a plate is wider and higher than 0 mm, not {plate.width_mm:g} x {plate.height_mm:g} mm; give "
+            "the size of its flat side"
+        )
     volume = calibration.volume
     centres = [s.pose.centre() for s in calibration.rig.sensors if s.role is Role.CAMERA]
     towards = np.mean(centres, axis=0)
