@@ -89,6 +89,15 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
     for words, code, why in (
         ((*report, "--limit", "roundness=1"), USAGE, "no 'roundness' is tested"),
         ((*report, "--limit", "flatness"), USAGE, "a limit is a name and mm"),
+        # Of a bar flatness has no value: its limit is looked at all the same.
+        ((*report, "--limit", "flatness=nan"), USAGE, "the limit of flatness is above 0 mm, not nan"),
+        ((*report, "--limit", "flatness=-1"), USAGE, "the limit of flatness is above 0 mm, not -1"),
+        ((*report, "--limit", "length=0"), USAGE, "the limit of length is above 0 mm, not 0"),
+        (
+            (*report, "--limit", "length=0.05", "--limit", "length=1"),
+            USAGE,
+            "length has two limits, 0.05 and 1 mm; give it one",
+        ),
         ((*report, "--limit", "flatness=1", "--risk", "0.9"), USAGE, "a risk is between 0 and 0.5"),
         ((*plan, "--name", "check", *CERTIFICATES), CONFLICT, "there is a campaign check-bar already"),
         ((*plan, "--name", "long", "--bar", "900,22"), USAGE, "does not fit along X"),

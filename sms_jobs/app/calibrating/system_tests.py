@@ -232,9 +232,13 @@ def judge(
     from sms_jobs.metrology.conformity import decide
     from sms_jobs.records.system_test import TESTED
 
-    for quantity in limits:
+    for quantity, limit in limits.items():
         if quantity not in TESTED:
             raise InvalidInput(f"no '{quantity}' is tested; give limits of {', '.join(TESTED)}")
+        if not 0.0 < limit < inf:
+            raise InvalidInput(
+                f"the limit of {quantity} is above 0 mm, not {limit:g}: give the largest error that is allowed"
+            )
     if not limits:
         raise InvalidInput(f"nothing can be decided without a limit; give one of {', '.join(TESTED)}")
     rigs = dict.fromkeys(campaigns.definition(services, name).rig for name in names)

@@ -165,11 +165,14 @@ def _two(text: str, option: str, example: str) -> tuple[float, float]:
 
 
 def _limits(given: Sequence[str]) -> dict[str, float]:
-    found = {}
+    found: dict[str, float] = {}
     for text in given:
         name, _, value = text.partition("=")
         try:
-            found[name] = float(value)
+            limit = float(value)
         except ValueError:
             raise InvalidInput(f"a limit is a name and mm, as flatness=0.04, not '{text}'") from None
+        if name in found:
+            raise InvalidInput(f"{name} has two limits, {found[name]:g} and {limit:g} mm; give it one")
+        found[name] = limit
     return found
