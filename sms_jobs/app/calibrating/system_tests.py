@@ -20,9 +20,16 @@ from sms_jobs.app.writing import check_new_file, new_file
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.records.people import Right
-from sms_jobs.records.shown.system_tests import ErrorSource, Judgement, MeasuredError, SystemVerdict
+from sms_jobs.records.shown.system_tests import (
+    CalibrationTested,
+    ErrorSource,
+    Judgement,
+    MeasuredError,
+    SystemVerdict,
+)
 
 if TYPE_CHECKING:
+    from sms_jobs.app.holdings.reading import StoredRecord
     from sms_jobs.metrology.geometry.volume_positions import Position
     from sms_jobs.records.campaign import Campaign
     from sms_jobs.records.scene import Scene, Surface
@@ -237,7 +244,7 @@ def judge(
             raise InvalidInput(f"no '{quantity}' is tested; give limits of {', '.join(TESTED)}")
         if not 0.0 < limit < inf:
             raise InvalidInput(
-                f"the limit of {quantity} is above 0 mm, not {limit:g}: give the largest error that is allowed"
+                f"the limit of {quantity} is above 0 mm, not {limit:g}: give the largest error allowed"
             )
     if not limits:
         raise InvalidInput(f"nothing can be decided without a limit; give one of {', '.join(TESTED)}")
@@ -246,21 +253,22 @@ def judge(
         raise InvalidInput(f"one rig is judged at a time, not {len(rigs)}: {', '.join(rigs)}")
     values: list[MeasuredError] = []
     sources: list[ErrorSource] = []
+    doubts: list[str] = []
     for name in dict.fromkeys(names):
         stored = reading.newest(services, name, KIND)
         values += _values(name, stored.record, limits)
-        made = stored.provenance
-        sources.append(
-            ErrorSource(
-                name,
-                stored.record.artefact,
-                stored.record.certificate,
-                stored.file.path,
-                stored.file.content_hash,
-                made.kind_version,
-                made.program_version,
-                made.created_at,
+        source, stale = _source(services, name, stored)
+        sources.append(source)
+        if stale:
+            doubts.append(
+                f"what is judged of {name} is not what would be measured now: {stale}; submit its shapes and "
+                f"{KIND} again"
             )
+    tested = sorted({one.number for source in sources for one in source.calibrations})
+    if len(tested) > 1:
+        doubts.append(
+            f"the errors were measured with calibrations {', '.join(map(str, tested))}: no one of them is "
+            "tested at every position; record what was measured with another one again"
         )
     judgements = tuple(_judgement(q, limit, values, risk) for q, limit in limits.items())
     limited = [one for one in values if one.quantity in limits]
@@ -276,7 +284,33 @@ def judge(
         conformity.most,
         conformity.decision.value,
     )
-    return SystemVerdict(next(iter(rigs)), risk, whole, judgements, tuple(values), tuple(sources))
+    return SystemVerdict(
+        next(iter(rigs)), risk, whole, judgements, tuple(values), tuple(sources), tuple(doubts)
+    )
+
+
+def _source(services: Services, campaign: str, stored: StoredRecord) -> tuple[ErrorSource, str]:
+    """Say where the errors of a campaign come from, and why others would be measured now; empty if none."""
+    from sms_jobs.catalogue import search
+    from sms_jobs.catalogue.campaigns import campaign_row
+    from sms_jobs.jobs.results.stale import stale_files
+
+    with services.catalogue.reading() as session:
+        used = search.calibrations_used(session, stored.file.id)
+        stale = stale_files(session, campaign_row(session, campaign), datetime.now(UTC))
+    made = stored.provenance
+    source = ErrorSource(
+        campaign,
+        stored.record.artefact,
+        stored.record.certificate,
+        stored.file.path,
+        stored.file.content_hash,
+        made.kind_version,
+        made.program_version,
+        made.created_at,
+        tuple(CalibrationTested(one.id, one.valid_from, one.origin, one.content_hash) for one in used),
+    )
+    return source, stale.get(stored.file.id, "")
 
 
 def _values(campaign: str, test: SystemTest, limits: Mapping[str, float]) -> list[MeasuredError]:

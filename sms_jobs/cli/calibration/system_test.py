@@ -114,7 +114,8 @@ def report(
     """Judge the errors of a test against limits, and write the page that is signed.
 
     Decides by guarded acceptance: conform, not conform, or undecided at the stated risk. No conformity with a
-    standard is claimed. Ends with 6 unless all of it is conform.
+    standard is claimed. Ends with 6 unless all of it is conform, and measured with the one calibration that
+    holds.
 
     Example: sms calibration test report check-bar check-plate --limit sphere-distance=0.05
     --limit flatness=0.04 --risk 0.05 -o check.html
@@ -142,9 +143,11 @@ def report(
             ],
             empty="",
         )
+        for doubt in verdict.doubts:
+            output.say(f"before it is signed: {doubt}")
         if files:
             output.say(f"wrote {' and '.join(map(str, files))}")
-    if verdict.whole.decision != "conform":
+    if verdict.whole.decision != "conform" or verdict.doubts:
         raise typer.Exit(_FINDINGS)
 
 
