@@ -20,6 +20,8 @@ from sms_jobs.bench.figures import Figure
 from sms_jobs.errors import SmsError
 
 PEERS = "SMS_TEST_PEERS"
+NO_PEERS = f"{PEERS} names no folder that ops/peers.sh has made; set it to the folder that this prints"
+"""Why figures beside other programs are left out."""
 ROUNDS = 5
 SCRIPTS = Path(sms_jobs.__file__).parents[1] / "ops" / "peers"
 
@@ -48,9 +50,9 @@ class Ratio:
 
 
 def peers_folder() -> Path | None:
-    """Return the folder of the other programs; None where none is named or the scripts are not there."""
+    """Return the folder of the other programs; None where none that has them is named, or without scripts."""
     named = os.environ.get(PEERS)
-    return Path(named) if named and SCRIPTS.is_dir() else None
+    return Path(named) if named and _python(Path(named)).exists() and SCRIPTS.is_dir() else None
 
 
 def run_script(peers: Path, script: str, folder: Path) -> None:
@@ -130,7 +132,11 @@ def in_turn(ours: Timed, theirs: Sequence[Timed], rounds: int = ROUNDS) -> list[
 
 
 def _command(peers: Path, script: str) -> list[str | Path]:
-    return [peers / "bin" / "python", SCRIPTS / script]
+    return [_python(peers), SCRIPTS / script]
+
+
+def _python(peers: Path) -> Path:
+    return peers / "bin" / "python"
 
 
 def _environment() -> dict[str, str]:

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, RigRow
 from sms_jobs.catalogue.parts import parts
-from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow, CalibrationUseRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, StatisticRow
 from sms_jobs.errors import NotFound
 from sms_jobs.records.shown.files import CalibrationView, FileView
@@ -114,6 +114,14 @@ def calibration_view(session: Session, number: int) -> CalibrationView:
     if not views:
         raise NotFound(f"there is no calibration {number}; 'sms calibration list' shows them")
     return views[0]
+
+
+def calibrations_used(session: Session, file: int) -> list[CalibrationView]:
+    """Return the calibrations that a file was computed with, by itself or through its inputs."""
+    used = select(CalibrationUseRow.calibration_id).where(CalibrationUseRow.file_id == file)
+    return _calibration_views(
+        session, _calibrations().where(CalibrationRow.id.in_(used)).order_by(CalibrationRow.id)
+    )
 
 
 def calibrations_of_files(session: Session, paths: Sequence[str]) -> list[CalibrationView]:

@@ -12,6 +12,7 @@ from support.command import answer, inside, service
 from support.sessions import small_session
 
 from sms_jobs import bootstrap
+from sms_jobs.app.calibrating import calibrations
 from sms_jobs.jobs.archiving.registration import register_calibration, register_campaign
 from sms_jobs.records.campaign import Specimen
 from sms_jobs.records.sensors import Calibration
@@ -69,6 +70,12 @@ def test_the_page_says_what_is_decided(tested: Path, tmp_path: Path) -> None:
     assert len(numbers["values"]) == 4 * 7 + 6
     assert all(one["missing"] == "" for one in numbers["values"])
     assert [one["values"] for one in numbers["judgements"]] == [7, 6, 7]
+    # Whoever signs knows which calibration was tested.
+    tested_with = [one["number"] for source in numbers["sources"] for one in source["calibrations"]]
+    assert tested_with == [1, 1]
+    assert numbers["doubts"] == []
+    assert "calibration tested" in page
+    assert "What to look at before this is signed" not in page
 
 
 def test_limits_decide(tested: Path) -> None:
@@ -89,12 +96,73 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
     for words, code, why in (
         ((*report, "--limit", "roundness=1"), USAGE, "no 'roundness' is tested"),
         ((*report, "--limit", "flatness"), USAGE, "a limit is a name and mm"),
+        # Of a bar flatness has no value: its limit is looked at all the same.
+        ((*report, "--limit", "flatness=nan"), USAGE, "the limit of flatness is above 0 mm, not nan"),
+        ((*report, "--limit", "flatness=-1"), USAGE, "the limit of flatness is above 0 mm, not -1"),
+        ((*report, "--limit", "length=0"), USAGE, "the limit of length is above 0 mm, not 0"),
+        (
+            (*report, "--limit", "length=0.05", "--limit", "length=1"),
+            USAGE,
+            "length has two limits, 0.05 and 1 mm; give it one",
+        ),
         ((*report, "--limit", "flatness=1", "--risk", "0.9"), USAGE, "a risk is between 0 and 0.5"),
         ((*plan, "--name", "check", *CERTIFICATES), CONFLICT, "there is a campaign check-bar already"),
         ((*plan, "--name", "long", "--bar", "900,22"), USAGE, "does not fit along X"),
         ((*plan, "--name", "none"), USAGE, "a test needs an artefact"),
         ((*plan, "--name", "odd", "--bar", "900"), USAGE, "--bar takes two numbers in mm"),
+        (
+            (*plan, "--name", "odd", "--bar", "150,22", "--bar-sigma", "0.005"),
+            USAGE,
+            "--bar-sigma takes two numbers in mm, as 0.005,0.002, not '0.005'",
+        ),
+        ((*plan, "--name", "odd", "--bar", "inf,22"), USAGE, "not 22 and inf mm"),
+        ((*plan, "--name", "odd", "--bar", "40,22"), USAGE, "a distance above twice that, not 22 and 40 mm"),
+        ((*plan, "--name", "odd", "--plate", "0,0"), USAGE, "higher than 0 mm, not 0 x 0 mm"),
+        ((*plan, "--name", "odd", "--plate=-10,20"), USAGE, "higher than 0 mm, not -10 x 20 mm"),
+        ((*plan, "--name", "odd", "--plate", "nan,20"), USAGE, "higher than 0 mm, not nan x 20 mm"),
+        (
+            (*plan, "--name", "odd", "--plate", "120,100", "--bar-sigma", "0.005,0.002"),
+            USAGE,
+            "--bar-sigma 0.005,0.002 belongs to --bar, which is not given",
+        ),
+        (
+            (*plan, "--name", "odd", "--bar", "150,22", "--plate-form-sigma", "0.002"),
+            USAGE,
+            "--plate-form-sigma 0.002 belongs to --plate, which is not given",
+        ),
     ):
         done = inside(*words)
         assert done.returncode == code, (words, done.stderr)
         assert why in " ".join(done.stderr.split())
+
+
+def test_another_calibration_is_told_before_anybody_signs(tested: Path, tmp_path: Path) -> None:
+    """What was measured with the one before is no test of what holds now, whatever its errors are."""
+    home, out = ("--home", str(tested)), tmp_path / "check.html"
+    wide = ("--limit", "sphere-distance=0.1", "--limit", "flatness=0.5")
+    report = ("calibration", "test", "report", "check-bar", "check-plate", *wide, *home)
+    assert inside(*report).returncode == 0
+    with bootstrap.services(tested) as services:
+        before = calibrations.show(services, 1).calibration
+        again = replace(before, valid_from=BEGIN, origin="of another day")
+        register_calibration(services.catalogue, services.archive, again, datetime.now(UTC))
+    # One that nobody has accepted changes nothing.
+    assert inside(*report).returncode == 0
+    assert inside("calibration", "accept", "2", "--reason", "newer", *home).returncode == 0
+
+    stale = inside(*report, "-o", str(out))
+    assert stale.returncode == FINDINGS
+    for campaign in ("check-bar", "check-plate"):
+        assert f"what is judged of {campaign} is not what would be measured now" in stale.stderr
+    numbers = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
+    assert numbers["whole"]["decision"] == "conform"
+    assert len(numbers["doubts"]) == 2
+    assert "What to look at before this is signed" in out.read_text(encoding="utf-8")
+
+    with service(tested):
+        work = ("job", "submit", "reconstruct", "system-test", "-c", "check-plate", *home)
+        answer("job", "wait", *answer(*work)["jobs"], *home)
+    mixed = inside(*report)
+    assert mixed.returncode == FINDINGS
+    assert "what is judged of check-plate" not in mixed.stderr
+    assert "the errors were measured with calibrations 1, 2" in mixed.stderr

@@ -297,7 +297,10 @@ def style_for(out: Path, style: str | None) -> str:
     if not fitting:
         raise InvalidInput(f"'{out}' ends as no style does; end it as one of {listed}")
     if len(fitting) > 1:
-        raise InvalidInput(f"'{out}' may be a file of {' or '.join(fitting)}; name the style")
+        raise InvalidInput(
+            f"'{out}' may be a file of {' or '.join(fitting)}; say which, as in "
+            f"'sms calibration export NUMBER --as {fitting[0]}'"
+        )
     return fitting[0]
 
 

@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,9 +20,16 @@ from sms_jobs.app.writing import check_new_file, new_file
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.records.people import Right
-from sms_jobs.records.shown.system_tests import ErrorSource, Judgement, MeasuredError, SystemVerdict
+from sms_jobs.records.shown.system_tests import (
+    CalibrationTested,
+    ErrorSource,
+    Judgement,
+    MeasuredError,
+    SystemVerdict,
+)
 
 if TYPE_CHECKING:
+    from sms_jobs.app.holdings.reading import StoredRecord
     from sms_jobs.metrology.geometry.volume_positions import Position
     from sms_jobs.records.campaign import Campaign
     from sms_jobs.records.scene import Scene, Surface
@@ -85,7 +92,7 @@ def plan(
     Raises
     ------
     InvalidInput
-        There is no artefact, or one that does not fit in the volume.
+        There is no artefact, or one that has no size or does not fit in the volume.
     NotFound
         The rig has no calibration in use.
     Conflict
@@ -124,6 +131,11 @@ def _of_bar(
     from sms_jobs.metrology.geometry.volume_positions import bar_positions
     from sms_jobs.records.artefacts import BallBar
 
+    if not 0.0 < 2.0 * bar.radius_mm < bar.length_mm < inf:
+        raise InvalidInput(
+            "a bar's spheres have a radius above 0 mm and a distance above twice that, not "
+            f"{bar.radius_mm:g} and {bar.length_mm:g} mm; give what its certificate says"
+        )
     volume = calibration.volume
     stands = bar_positions(volume.low, volume.high, bar.length_mm, bar.radius_mm)
     shown = BallBar(bar.length_mm, bar.length_sigma_mm, bar.radius_mm, bar.radius_sigma_mm)
@@ -141,6 +153,11 @@ def _of_plate(
     from sms_jobs.records.scene import Plane
     from sms_jobs.records.views import Role
 
+    if not (0.0 < plate.width_mm < inf and 0.0 < plate.height_mm < inf):
+        raise InvalidInput(
+            f"a plate is wider and higher than 0 mm, not {plate.width_mm:g} x {plate.height_mm:g} mm; give "
+            "the size of its flat side"
+        )
     volume = calibration.volume
     centres = [s.pose.centre() for s in calibration.rig.sensors if s.role is Role.CAMERA]
     towards = np.mean(centres, axis=0)
@@ -222,9 +239,13 @@ def judge(
     from sms_jobs.metrology.conformity import decide
     from sms_jobs.records.system_test import TESTED
 
-    for quantity in limits:
+    for quantity, limit in limits.items():
         if quantity not in TESTED:
             raise InvalidInput(f"no '{quantity}' is tested; give limits of {', '.join(TESTED)}")
+        if not 0.0 < limit < inf:
+            raise InvalidInput(
+                f"the limit of {quantity} is above 0 mm, not {limit:g}: give the largest error allowed"
+            )
     if not limits:
         raise InvalidInput(f"nothing can be decided without a limit; give one of {', '.join(TESTED)}")
     rigs = dict.fromkeys(campaigns.definition(services, name).rig for name in names)
@@ -232,21 +253,22 @@ def judge(
         raise InvalidInput(f"one rig is judged at a time, not {len(rigs)}: {', '.join(rigs)}")
     values: list[MeasuredError] = []
     sources: list[ErrorSource] = []
+    doubts: list[str] = []
     for name in dict.fromkeys(names):
         stored = reading.newest(services, name, KIND)
         values += _values(name, stored.record, limits)
-        made = stored.provenance
-        sources.append(
-            ErrorSource(
-                name,
-                stored.record.artefact,
-                stored.record.certificate,
-                stored.file.path,
-                stored.file.content_hash,
-                made.kind_version,
-                made.program_version,
-                made.created_at,
+        source, stale = _source(services, name, stored)
+        sources.append(source)
+        if stale:
+            doubts.append(
+                f"what is judged of {name} is not what would be measured now: {stale}; submit its shapes and "
+                f"{KIND} again"
             )
+    tested = sorted({one.number for source in sources for one in source.calibrations})
+    if len(tested) > 1:
+        doubts.append(
+            f"the errors were measured with calibrations {', '.join(map(str, tested))}: no one of them is "
+            "tested at every position; record what was measured with another one again"
         )
     judgements = tuple(_judgement(q, limit, values, risk) for q, limit in limits.items())
     limited = [one for one in values if one.quantity in limits]
@@ -262,7 +284,33 @@ def judge(
         conformity.most,
         conformity.decision.value,
     )
-    return SystemVerdict(next(iter(rigs)), risk, whole, judgements, tuple(values), tuple(sources))
+    return SystemVerdict(
+        next(iter(rigs)), risk, whole, judgements, tuple(values), tuple(sources), tuple(doubts)
+    )
+
+
+def _source(services: Services, campaign: str, stored: StoredRecord) -> tuple[ErrorSource, str]:
+    """Say where the errors of a campaign come from, and why others would be measured now; empty if none."""
+    from sms_jobs.catalogue import search
+    from sms_jobs.catalogue.campaigns import campaign_row
+    from sms_jobs.jobs.results.stale import stale_files
+
+    with services.catalogue.reading() as session:
+        used = search.calibrations_used(session, stored.file.id)
+        stale = stale_files(session, campaign_row(session, campaign), datetime.now(UTC))
+    made = stored.provenance
+    source = ErrorSource(
+        campaign,
+        stored.record.artefact,
+        stored.record.certificate,
+        stored.file.path,
+        stored.file.content_hash,
+        made.kind_version,
+        made.program_version,
+        made.created_at,
+        tuple(CalibrationTested(one.id, one.valid_from, one.origin, one.content_hash) for one in used),
+    )
+    return source, stale.get(stored.file.id, "")
 
 
 def _values(campaign: str, test: SystemTest, limits: Mapping[str, float]) -> list[MeasuredError]:

@@ -18,7 +18,7 @@ from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.fringes.returns import rms, wrapped
 from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames, unwrap_frames
-from sms_jobs.bench.peers import PEERS, Ratio, Timed, in_turn, peers_folder, started, timed
+from sms_jobs.bench.peers import NO_PEERS, Ratio, Timed, in_turn, peers_folder, started, timed
 from sms_jobs.bench.roofline import Peak, Work, matching_work
 from sms_jobs.errors import SmsError
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
@@ -140,7 +140,7 @@ def _beside(
     folder: Path | None, names: dict[str, float | None], compare: Callable[[Path], Iterator[Found]]
 ) -> Iterator[Found]:
     """Yield what a comparison with others finds; the figures named without a value where they are missing."""
-    why = f"{PEERS} names no folder that ops/peers.sh has made"
+    why = NO_PEERS
     if folder is not None:
         try:
             found = list(compare(folder))

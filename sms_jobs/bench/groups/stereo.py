@@ -12,7 +12,7 @@ import numpy as np
 
 from sms_jobs.bench.compared_fields import reported_over_observed
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
-from sms_jobs.bench.peers import PEERS, Ratio, peers_folder
+from sms_jobs.bench.peers import NO_PEERS, Ratio, peers_folder
 from sms_jobs.bench.two_cameras.compared_programs import (
     GT4_SPACING_PX,
     GT4_SUBSET_PX,
@@ -306,9 +306,7 @@ def _peers(run: Run) -> Iterator[Found]:
     folder = peers_folder()
     if run.quick or folder is None:
         yield Figure("platehole_rms_um", None, "um", 0.5, "at most")
-        yield Condition(
-            "platehole", f"left out: --quick, or {PEERS} names no folder that ops/peers.sh has made"
-        )
+        yield Condition("platehole", f"left out: {'--quick' if run.quick else NO_PEERS}")
         return
     yield from _programs_on_published(run, folder)
     run.say("stereo: rendering plates")

@@ -11,7 +11,7 @@ import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.groups.strain import warm_up
-from sms_jobs.bench.peers import PEERS, peers_folder
+from sms_jobs.bench.peers import NO_PEERS, peers_folder
 from sms_jobs.bench.witness.effects import EFFECTS, STATE, halved_hat
 from sms_jobs.bench.witness.fringes import Witnessed, fringes_of_mitsuba
 from sms_jobs.bench.witness.scenes import MeshTruth
@@ -220,7 +220,7 @@ def _tried(scene: Scene, run: Run) -> tuple[Errors, Errors] | str:
     """Measure a scene on our images and on theirs, or say why that is left out."""
     peers = peers_folder()
     if peers is None:
-        return f"{PEERS} names no folder that ops/peers.sh has made"
+        return NO_PEERS
     if run.quick:
         return "--quick"
     try:

@@ -66,7 +66,7 @@ class Judged:
     match, field
         At the matched points, and at every pixel, where matches are spread over their subsets.
     stated
-        RMS standard deviation that the matches of the still pair state, in px.
+        RMS standard deviation that those matches of the still pair state whose noise is told, in px.
     bound
         What the texture and its noise allow a shift of such a subset, in px.
     stated_resolution
@@ -101,19 +101,26 @@ def judge(images: Star, parameters: CorrelateParameters) -> Judged:
         v[found.y[known].astype(int), found.x[known].astype(int)] = found.v[known]
         matches.append(v[inner])
         fields.append(np.where(field.reason == 0, field.image_displacement[1], np.nan)[inner])
-    of_still: ImageMatches = still["matches"]
-    sigma = of_still.sigma_v[of_still.reason == 0]
+    sigma = _of_whole_subsets(still["matches"], radius)
     texture = examine_texture(images.exact, 0.0, np.inf)
     field_curve = _curve(fields[0], fields[1], radius)
     near = np.abs(field_curve.periods / field_curve.resolution - 1.25) < 0.25
     return Judged(
         _curve(matches[0], matches[1], radius),
         field_curve,
-        float(np.sqrt(np.mean(sigma.astype(np.float64) ** 2))),
+        float(np.sqrt(np.mean(sigma**2))),
         match_sigma(replace(texture, noise=star.NOISE), radius),
         still["displacement"].resolution_px,
         float(np.isfinite(fields[1][:, near]).mean()),
     )
+
+
+def _of_whole_subsets(found: ImageMatches, radius: int) -> Floats:
+    """Return the deviations that matches state whose subsets no border of the image cuts, in px."""
+    whole = (np.abs(found.y - star.MIDDLE) <= star.MIDDLE - radius) & (found.x >= radius)
+    whole &= found.x < star.COLUMNS - radius
+    sigma: Floats = found.sigma_v[whole & (found.reason == 0)].astype(np.float64)
+    return sigma
 
 
 def _curve(still: Floats, moved: Floats, radius: int) -> Curve:
@@ -196,7 +203,8 @@ def _remarks(seeds: Sequence[int], apart: float) -> dict[str, str]:
         f"speckle of Gaussian blobs of 1.8 px, known at every real point, contrast {star.CONTRAST:g} and "
         f"noise {star.NOISE:g} grey levels, both images; seeds {', '.join(map(str, seeds))}; correlate with "
         "its defaults but for radius and order",
-        "noise": "rms of v of a still pair, of what is valid: of the matched points, and of every pixel",
+        "noise": "rms of v of a still pair, of what is valid and a radius from the border: of the matched "
+        "points, and of every pixel; match: stated is the rms of what the same matches state",
         "resolution": f"period at which {KEPT:.0%} of the amplitude is left, the amplitude by least squares "
         "over the rows within one and a half periods of the middle; the stars' figures differ by at most "
         f"{apart:.1%}",

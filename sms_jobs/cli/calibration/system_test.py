@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -30,17 +30,20 @@ def plan(
         typer.Option(help="Certified distance of a bar's spheres and their radius in mm, as 480,25."),
     ] = None,
     bar_sigma: Annotated[
-        str, typer.Option(help="Standard uncertainties of both in mm, as 0.005,0.002.")
-    ] = "0,0",
+        str | None,
+        typer.Option(help="Standard uncertainties of both in mm, as 0.005,0.002; 0 if not given."),
+    ] = None,
     bar_form_sigma: Annotated[
-        float, typer.Option(min=0.0, help="Standard uncertainty of the spheres' roundness in mm.")
-    ] = 0.0,
+        float | None,
+        typer.Option(min=0.0, help="Standard uncertainty of the spheres' roundness in mm; 0 if not given."),
+    ] = None,
     plate: Annotated[
         str | None, typer.Option(help="Width and height of a flat plate in mm, as 300,200.")
     ] = None,
     plate_form_sigma: Annotated[
-        float, typer.Option(min=0.0, help="Standard uncertainty of the plate's flatness in mm.")
-    ] = 0.0,
+        float | None,
+        typer.Option(min=0.0, help="Standard uncertainty of the plate's flatness in mm; 0 if not given."),
+    ] = None,
     like: Annotated[
         str | None,
         typer.Option(
@@ -59,12 +62,16 @@ def plan(
     Example: sms calibration test plan hall-3 --name check --bar 480,25 --bar-sigma 0.005,0.002
     --plate 300,200 --plate-form-sigma 0.002; sms job submit reconstruct system-test -c check-bar --wait
     """
+    _of_an_artefact("--bar", bar, {"--bar-sigma": bar_sigma, "--bar-form-sigma": bar_form_sigma})
+    _of_an_artefact("--plate", plate, {"--plate-form-sigma": plate_form_sigma})
     of_bar = None
     if bar is not None:
-        length, radius = _two(bar, "--bar")
-        sigmas = _two(bar_sigma, "--bar-sigma")
-        of_bar = BarCertificate(length, sigmas[0], radius, sigmas[1], bar_form_sigma)
-    of_plate = None if plate is None else PlateCertificate(*_two(plate, "--plate"), plate_form_sigma)
+        length, radius = _two(bar, "--bar", "480,25")
+        sigmas = (0.0, 0.0) if bar_sigma is None else _two(bar_sigma, "--bar-sigma", "0.005,0.002")
+        of_bar = BarCertificate(length, sigmas[0], radius, sigmas[1], bar_form_sigma or 0.0)
+    of_plate = None
+    if plate is not None:
+        of_plate = PlateCertificate(*_two(plate, "--plate", "300,200"), plate_form_sigma or 0.0)
     with bootstrap.services(home) as services:
         made = system_tests.plan(services, rig, name, of_bar, of_plate, like)
     if as_json:
@@ -107,7 +114,8 @@ def report(
     """Judge the errors of a test against limits, and write the page that is signed.
 
     Decides by guarded acceptance: conform, not conform, or undecided at the stated risk. No conformity with a
-    standard is claimed. Ends with 6 unless all of it is conform.
+    standard is claimed. Ends with 6 unless all of it is conform, and measured with the one calibration that
+    holds.
 
     Example: sms calibration test report check-bar check-plate --limit sphere-distance=0.05
     --limit flatness=0.04 --risk 0.05 -o check.html
@@ -135,27 +143,39 @@ def report(
             ],
             empty="",
         )
+        for doubt in verdict.doubts:
+            output.say(f"before it is signed: {doubt}")
         if files:
             output.say(f"wrote {' and '.join(map(str, files))}")
-    if verdict.whole.decision != "conform":
+    if verdict.whole.decision != "conform" or verdict.doubts:
         raise typer.Exit(_FINDINGS)
 
 
-def _two(text: str, option: str) -> tuple[float, float]:
+def _of_an_artefact(artefact: str, given: str | None, certified: Mapping[str, str | float | None]) -> None:
+    """Refuse what is certified of an artefact that the test does not have: it would count for nothing."""
+    for option, value in certified.items():
+        if given is None and value is not None:
+            raise InvalidInput(f"{option} {value} belongs to {artefact}, which is not given; add {artefact}")
+
+
+def _two(text: str, option: str, example: str) -> tuple[float, float]:
     parts = text.split(",")
     try:
         first, second = map(float, parts)
     except ValueError:
-        raise InvalidInput(f"{option} takes two numbers in mm, as 480,25, not '{text}'") from None
+        raise InvalidInput(f"{option} takes two numbers in mm, as {example}, not '{text}'") from None
     return first, second
 
 
 def _limits(given: Sequence[str]) -> dict[str, float]:
-    found = {}
+    found: dict[str, float] = {}
     for text in given:
         name, _, value = text.partition("=")
         try:
-            found[name] = float(value)
+            limit = float(value)
         except ValueError:
             raise InvalidInput(f"a limit is a name and mm, as flatness=0.04, not '{text}'") from None
+        if name in found:
+            raise InvalidInput(f"{name} has two limits, {found[name]:g} and {limit:g} mm; give it one")
+        found[name] = limit
     return found

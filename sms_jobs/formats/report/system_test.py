@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from sms_jobs.formats.report.certificate import doubts
 from sms_jobs.formats.report.charts import Axis, Chart, Line, Point, charts
 from sms_jobs.formats.report.html import Cell, Given, Markup, code, facts, paragraph, table
 from sms_jobs.formats.report.page import Section, page
@@ -37,6 +38,7 @@ def system_test_page(verdict: SystemVerdict) -> str:
         f"It is decided where the probability to be wrong is at most {verdict.risk:g}, undecided elsewhere."
     )
     about = [
+        *doubts(verdict.doubts, "What to look at before this is signed"),
         Markup(f"<p><strong>{escape(words)}</strong></p>"),
         paragraph(DISCLAIMER),
     ]
@@ -46,7 +48,7 @@ def system_test_page(verdict: SystemVerdict) -> str:
         Section("Every value", [_values(verdict.values)]),
         Section("How it is decided", _rule(verdict.risk)),
         Section("Definitions", [facts(DEFINITIONS.items())]),
-        Section("Where this comes from", [_sources(verdict)]),
+        Section("Where this comes from", [_sources(verdict), _calibrations(verdict)]),
         Section("Signed", [facts([(name, "_" * 40) for name in ("name", "date", "signature")])]),
     ]
     return page(f"Test of measuring system {verdict.rig}", about, sections)
@@ -163,3 +165,19 @@ def _sources(verdict: SystemVerdict) -> Markup:
         for one in verdict.sources
     ]
     return table(header, rows)
+
+
+def _calibrations(verdict: SystemVerdict) -> Markup:
+    """Name what is tested: the system as it was calibrated."""
+    rows: list[list[Cell]] = [
+        [
+            source.campaign,
+            one.number,
+            one.origin,
+            local_time(one.valid_from),
+            code(one.content_hash[:16], title=one.content_hash),
+        ]
+        for source in verdict.sources
+        for one in source.calibrations
+    ]
+    return table(["campaign", "calibration tested", "origin", "valid from", "content hash"], rows)

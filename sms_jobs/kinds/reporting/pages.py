@@ -41,6 +41,7 @@ from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.recording import Recording
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
 
 _INTRODUCTION = (
     "Grey in a map means that nothing could be measured there. Standard deviations are one sigma, without a "
@@ -288,12 +289,13 @@ class ReportPages:
         return {str(subject): recording for subject, recording in recordings(self._inputs)}
 
     def _recorded_at(self) -> Mapping[str, datetime]:
-        """Return when the reference state was recorded; the others say so themselves."""
+        """Return when the reference state was recorded, where that is known; the others say so themselves."""
         label = self._campaign.reference.label
         for view in self._campaign.recordings:
             own = Subject(self._campaign.name, label, view)
             if self._inputs.has(RECORDINGS, about=own):
-                return {label: self._inputs.read(RECORDINGS, MEASURED, own).recorded_at}
+                at = self._inputs.read(RECORDINGS, MEASURED, own).recorded_at
+                return {} if at == UNTIMED else {label: at}
         return {}
 
     def _accuracy(self) -> Section:

@@ -128,7 +128,7 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
 KIND = Kind(
     name="report",
     summary="write pages about a campaign: maps to zoom and turn, charts, uncertainties, errors and origins",
-    version=7,
+    version=8,
     scope=Scope.CAMPAIGN,
     parameters=ReportParameters,
     inputs=SHOWN,

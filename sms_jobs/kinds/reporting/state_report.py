@@ -44,7 +44,7 @@ def run(inputs: Inputs, parameters: report.PageParameters, progress: Progress) -
 KIND = Kind(
     name="report-state",
     summary="write a page about one state: maps to zoom and turn, uncertainties and origins",
-    version=5,
+    version=6,
     scope=Scope.STATE,
     parameters=report.PageParameters,
     inputs=SHOWN,

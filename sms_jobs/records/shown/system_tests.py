@@ -68,8 +68,18 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class CalibrationTested:
+    """A calibration that errors were measured with."""
+
+    number: int
+    valid_from: datetime
+    origin: str
+    content_hash: str
+
+
+@dataclass(frozen=True)
 class ErrorSource:
-    """A result that a test rests on."""
+    """A result that a test rests on, and the calibrations that it was computed with."""
 
     campaign: str
     artefact: str
@@ -79,6 +89,7 @@ class ErrorSource:
     kind_version: int
     program_version: str
     created_at: datetime
+    calibrations: tuple[CalibrationTested, ...]
 
 
 @dataclass(frozen=True)
@@ -99,6 +110,9 @@ class SystemVerdict:
         Every error.
     sources
         Where they come from.
+    doubts
+        What has to be looked at before anybody signs: errors of another calibration than holds now, or of
+        several.
     """
 
     rig: str
@@ -107,3 +121,4 @@ class SystemVerdict:
     judgements: tuple[Judgement, ...]
     values: tuple[MeasuredError, ...]
     sources: tuple[ErrorSource, ...]
+    doubts: tuple[str, ...]

@@ -54,5 +54,9 @@ def test_points_beside_the_specimen_and_without_displacement_do_not_count() -> N
 def test_without_a_folder_there_are_no_others(monkeypatch: pytest.MonkeyPatch, home: Path) -> None:
     monkeypatch.delenv(PEERS, raising=False)
     assert peers_folder() is None
+    # What is misspelt is told before anything is rendered, not after minutes by a file that is not there.
     monkeypatch.setenv(PEERS, str(home))
+    assert peers_folder() is None
+    (home / "bin").mkdir(parents=True)
+    (home / "bin" / "python").touch()
     assert peers_folder() == home

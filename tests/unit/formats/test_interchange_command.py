@@ -125,7 +125,11 @@ def test_a_second_calibration_of_a_rig_waits_for_a_word(made: Path, tmp_path: Pa
         (("export", "99", "--as", "opencv-yaml", "--out", "x.yml"), 3, "99"),
         (("export", "1", "--as", "matlab", "--out", "x.m"), 2, "the style should be one of opencv-yaml"),
         (("export", "1", "--as", "opencv-yaml", "--out", "x.json"), 2, "must end in .yml or .yaml"),
-        (("export", "1", "--out", "x.xml"), 2, "may be a file of opencv-xml or thesis-xml"),
+        (
+            ("export", "1", "--out", "x.xml"),
+            2,
+            "or thesis-xml; say which, as in 'sms calibration export NUMBER --as",
+        ),
         (("export", "1", "--out", "x.m"), 2, "opencv-json (*.json)"),
         (("export", "1", "--as", "opencv-yaml", "--out", str(WRONG / "skew.yml")), 4, "set --force"),
     ],

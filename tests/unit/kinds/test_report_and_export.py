@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,12 +18,15 @@ from pydantic import ValidationError
 from support.report_results import campaign, mesh, records_for, run_on_results
 
 from sms_jobs.errors import InvalidInput
+from sms_jobs.formats.report.tables import local_time
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.documents import DocumentOutput
 from sms_jobs.kinds.kind import MEASUREMENT, Port
 from sms_jobs.kinds.reporting import export, report
 from sms_jobs.kinds.reporting import state_report as report_state
+from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
 
 Run = Callable[..., list[tuple[DocumentOutput, Path]]]
 
@@ -109,6 +113,16 @@ def test_a_campaign_with_its_reference_state_alone_has_a_report(run: Run) -> Non
     page = Checker.of(path.read_text(encoding="utf-8"))
     assert len(page.images) == 3
     assert "Maps of the deformed states" not in page.words
+
+
+@pytest.mark.parametrize("at", [datetime(2026, 5, 4, 10, tzinfo=UTC), UNTIMED])
+def test_a_time_is_in_the_page_where_there_is_one(run: Run, at: datetime) -> None:
+    image = np.zeros((45, 60), np.uint16)
+    recorded = Measurement(at, FringeSequence(), 4095, 0.1, 2.0, image, ArrayStack(image[None]))
+    ((_, path),) = run(report.KIND, campaign(), Subject("plate"), instead={"measurement": recorded})
+    # A simulated state without a time bears one at which nobody recorded anything.
+    words = Checker.of(path.read_text(encoding="utf-8")).words
+    assert (str(local_time(at)) in words) == (at != UNTIMED)
 
 
 def test_many_states_have_maps_in_one_page_and_few_of_them_pictures(run: Run) -> None:
