@@ -196,7 +196,7 @@ def test_a_job_that_does_not_succeed_is_an_error(lab: Lab, folder: Path) -> None
         with pytest.raises(InvalidInput, match=told):
             lab.submit(kind, CAMPAIGN, states=several, dry_run=True)  # type: ignore[arg-type]
     done = lab.submit("strain", CAMPAIGN, gauge_length_mm=25.0)
-    with pytest.raises(WaitTimedOut, match="1 of 1 jobs"):
+    with pytest.raises(WaitTimedOut, match="1 of 1 job has not ended"):
         lab.wait(done, timeout_s=0.0)
     with bootstrap.services(folder / "sms-demo") as services:
         assert jobs.cancel(services, done.job_ids, None) == 1
