@@ -17,6 +17,7 @@ from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, StatisticRow
 from sms_jobs.errors import NotFound
 from sms_jobs.records.shown.files import CalibrationView, FileView
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
 
 _MOST_DIGITS = 18
 
@@ -205,6 +206,6 @@ def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
         sha256=row.sha256,
         media_type=row.media_type,
         created_at=row.created_at,
-        recorded_at=row.recorded_at,
+        recorded_at=None if row.recorded_at == UNTIMED else row.recorded_at,
         job_id=row.job_id,
     )

@@ -35,6 +35,7 @@ from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.records.shown.files import Page
 from sms_jobs.records.shown.portion import Portion
+from sms_jobs.records.times import UNTIMED
 
 KINDS = frozenset({*many_files.KINDS, "calibration", "report"})
 KNOWN = Vocabulary(lambda: (KINDS, many_files.PARAMETERS))
@@ -218,6 +219,14 @@ def test_a_day_lasts_from_midnight_to_midnight(catalogue: Catalogue) -> None:
     assert count("in (2026-04, 2026-06)") == count("> 2026") == count("< 2026-05") == 0
     assert count("not in 2026-04") == count("between 2026-04 and 2026-05") == count("> 2025-12") == 5
     assert count(">= 2026-05-01T12:00") == 3
+
+
+def test_what_was_recorded_at_no_known_time_shows_none(catalogue: Catalogue) -> None:
+    about = {"source": "report", "content_hash": "", "size_bytes": 1, "media_type": "", "created_at": NOW}
+    with catalogue.writing() as session:
+        session.add_all(FileRow(path=at.isoformat(), recorded_at=at, **about) for at in (UNTIMED, NOW))
+    shown = {one.file.path: one.file.recorded_at for one in ask(catalogue, "report").rows}
+    assert shown == {UNTIMED.isoformat(): None, NOW.isoformat(): NOW}
 
 
 @pytest.mark.parametrize("text", ["strain where load_kN > 1000", "calibration = 1", ""])
