@@ -259,8 +259,8 @@ def section(
     pieces = hypot(end[0] - start[0], end[1] - start[1]) / step
     if not pieces <= _MOST_PIECES:
         raise InvalidInput(
-            f"the section from {_point_text(start)} to {_point_text(end)} has {pieces:.3g} pieces by "
-            f"steps of {step:g}, and may have {_MOST_PIECES}: make it shorter, or the `step` larger"
+            f"the section from {_point_text(start)} to {_point_text(end)} has {pieces:.3g} steps of "
+            f"{step:g}, and may have {_MOST_PIECES}: make it shorter, or the `step` larger"
         )
     with services.catalogue.reading() as session:
         view = search.file_view(session, file)

@@ -210,12 +210,15 @@ def _judge(
         valid = np.isfinite(score).all(axis=0)
         for stratum, where in wanted.items():
             scores[quantity, prefix + stratum].append(score[:, valid & where].ravel())
-    if only or maker.name != "reconstruct":
+    if only:
+        return
+    if first:
+        labels = shelf.records["correlate", last]["regions"].labels
+        scores["strain", f"{prefix}gauge"].append(gauge_scores(moved, surface, labels, truth))
+    if maker.name != "reconstruct":
         return
     scores["shape", "mean"].append(mean_scores(surface, truth))
     if first:
-        labels = shelf.records["correlate", last]["regions"].labels
-        scores["strain", "gauge"].append(gauge_scores(moved, surface, labels, truth))
         for before in subjects[1:-1]:
             earlier: DisplacementField = shelf.records["correlate", before]["displacement"]
             score = _between(earlier, moved, truth.displacement - shelf.truth(before).displacement)
