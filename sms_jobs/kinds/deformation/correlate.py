@@ -57,7 +57,7 @@ from sms_jobs.kinds.point_matches import match_statistics, summary
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
 from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, PLACES, REGIONS, Product
 from sms_jobs.kinds.resolution import resolution_statistics
-from sms_jobs.kinds.shape.textures import blur_of
+from sms_jobs.kinds.shape.textures import spots_of
 from sms_jobs.kinds.surface_ports import state_ports
 from sms_jobs.kinds.valid_parts import fractions
 from sms_jobs.metrology.deformation.cracks.lines import crack_lines
@@ -206,7 +206,7 @@ def _prepared(before: TexturedState, after: TexturedState, parameters: Correlate
         before.matched,
         (before.noise, after.noise),
         parameters.interpolation,
-        blur=0.0 if parameters.following == "each-state" else blur_of(parameters.smoothing_px),
+        spots=(0.0, 0.0) if parameters.following == "each-state" else spots_of(parameters.smoothing_px),
     )
 
 
@@ -299,7 +299,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=25,
+    version=26,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

@@ -20,7 +20,7 @@ from sms_jobs.kinds.deformation.textured_state import CALIBRATION_OF_SHAPE, Text
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Inputs, Need, Port
 from sms_jobs.kinds.products import CALIBRATED, MEASURED, PLACES
 from sms_jobs.kinds.shape.partner_places import asks_for_another_place
-from sms_jobs.kinds.shape.textures import blur_of, white_texture
+from sms_jobs.kinds.shape.textures import spots_of, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
 from sms_jobs.metrology.deformation.fields.followed_points import (
@@ -198,7 +198,7 @@ def _by_own_texture(
         labels,
         (first_noise, last_noise),
         parameters.interpolation,
-        blur=blur_of(parameters.smoothing_px),
+        spots=spots_of(parameters.smoothing_px),
     )
     subsets = Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order))
     expected = _pixels(shape) + shift
@@ -265,7 +265,7 @@ def _by_first_image(
         before.matched,
         (before.noise, noise),
         parameters.interpolation,
-        blur=blur_of(parameters.smoothing_px),
+        spots=spots_of(parameters.smoothing_px),
     )
     subsets = Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order))
     spread = match_and_spread(

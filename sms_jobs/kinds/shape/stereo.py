@@ -67,7 +67,7 @@ from sms_jobs.kinds.shape.ray_images import (
     why_nothing,
 )
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
-from sms_jobs.kinds.shape.textures import blur_of, white_texture
+from sms_jobs.kinds.shape.textures import spots_of, white_texture
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.deformation.matching.camera_matching import (
     RaySearch,
@@ -126,9 +126,10 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         )
         volume = (calibration.volume.low, calibration.volume.high)
         search = RaySearch(volume, line_width(factor, number + 1, parameters.epipolar_width_px))
-        noise, blur = (reference.noise, partner.noise), blur_of(parameters.smoothing_px)
-        images = prepare_images(reference.texture, partner.texture, labels, noise, blur=blur)
-        found.append(_matched(inputs, name, reference, partner, images, nodes, parameters, search))
+        noise, spots = (reference.noise, partner.noise), spots_of(parameters.smoothing_px)
+        images = prepare_images(reference.texture, partner.texture, labels, noise, spots=spots)
+        matched, images = _matched(inputs, name, reference, partner, images, nodes, parameters, search)
+        found.append(matched)
         spread.append(places_of_pixels(images, found[-1], parameters, inputs.threads))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
     epipolar = refuse_far_from_rays(
@@ -215,9 +216,9 @@ def _matched(
     nodes: Nodes,
     parameters: StereoParameters,
     search: RaySearch,
-) -> GridMatches:
+) -> tuple[GridMatches, PreparedImages]:
     """Match the points with a partner; raise `MeasurementFailed` where nothing of them is found."""
-    found = match_cameras(
+    found, images = match_cameras(
         reference,
         partner,
         images,
@@ -244,7 +245,7 @@ def _matched(
         other = replace(reference, camera=partner.camera), replace(partner, camera=reference.camera)
         swapped = name, seen(*other, threads=inputs.threads)
         raise MeasurementFailed(why_nothing(inputs.view, off, swapped))
-    return found
+    return found, images
 
 
 def _surface(
@@ -314,7 +315,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=20,
+    version=21,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.deformation.matching.correlation import Noise
+from sms_jobs.metrology.deformation.matching.correlation import Noise, Spots
 from sms_jobs.metrology.images.smoothing import noise_after_smoothing, smooth
 from sms_jobs.records.measurement import Measurement
 
@@ -13,9 +13,10 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 """Of a pixel's own square, px^2: what blurs an image beside the filter; a lens's blur is not known."""
 
 
-def blur_of(smoothing_px: float) -> float:
-    """Return the variance in px^2 of the spot that a filtered image shows of a point."""
-    return smoothing_px**2 + _PIXEL_VARIANCE
+def spots_of(smoothing_px: float) -> Spots:
+    """Return the variances in px^2 of the spots that two filtered images show of a point."""
+    spot = smoothing_px**2 + _PIXEL_VARIANCE
+    return spot, spot
 
 
 def white_texture(

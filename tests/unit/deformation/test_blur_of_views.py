@@ -13,6 +13,7 @@ from sms_jobs.metrology.deformation.matching.correlation import (
     match_points,
     prepare_images,
 )
+from sms_jobs.metrology.deformation.matching.spots import measured_spots
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 
 SIZE, BLUR, RADIUS = 120, 0.44, 12
@@ -52,7 +53,11 @@ def test_a_view_that_is_foreshortened_leaves_nothing_over_but_its_fourth_derivat
     guess[:, [1, 2, 4, 5]] = slopes.ravel()
     found = {
         blur: match_points(
-            prepare_images(reference, deformed, labels, blur=blur), x, y, guess, MatchSettings(RADIUS)
+            prepare_images(reference, deformed, labels, spots=(blur, blur)),
+            x,
+            y,
+            guess,
+            MatchSettings(RADIUS),
         )
         for blur in (0.0, BLUR)
     }
@@ -71,7 +76,7 @@ def test_a_displacement_is_held_against_images_that_are_blurred_alike() -> None:
     bias = []
     for blur in (0.0, BLUR):
         images = prepare_images(
-            spots(np.eye(2), BLUR), spots(across, BLUR), np.ones((SIZE, SIZE), np.int32), blur=blur
+            spots(np.eye(2), BLUR), spots(across, BLUR), np.ones((SIZE, SIZE), np.int32), spots=(blur, blur)
         )
         bias.append(verify_displacement(images, exact, RADIUS, 2, 0.0).bias[0, 30:-30, 30:-30].mean())
     assert bias[1] < 0.25 * bias[0]
@@ -97,3 +102,32 @@ def test_what_first_order_takes_for_a_shift_on_the_way_back() -> None:
     # Third and fourth order: the slope changes by 8 * 8e-4 over the square, and 17 x 17 px are no continuum.
     assert told == pytest.approx(plane, rel=0.02, abs=1e-5)
     assert np.hypot(*plane) > 0.005
+
+
+@pytest.mark.parametrize(("own", "other"), [(0.44, 0.44), (0.69, 0.69), (0.5, 1.1)])
+def test_spots_are_measured_where_a_view_is_foreshortened(own: float, other: float) -> None:
+    """From what subsets leave over that are told of the least spots; where there is no more, nothing is."""
+    across = np.diag([0.75, 1.0])
+    images = prepare_images(
+        spots(np.eye(2), own), spots(across, other), np.ones((SIZE, SIZE), np.int32), spots=(BLUR, BLUR)
+    )
+    x, y = (values.ravel() for values in np.meshgrid(np.arange(40, 81, 8), np.arange(40, 81, 8)))
+    guess = np.zeros((len(x), 6))
+    guess[:, 0], guess[:, 1] = -0.25 * (x - SIZE / 2.0), -0.25
+    settings = MatchSettings(RADIUS)
+    found = measured_spots(images, x, y, match_points(images, x, y, guess, settings), settings)
+    # To the first order a wave k is told b k^2 / 2 for 1 - exp(-b k^2 / 2), b k^2 / 4 too much: a quarter for
+    # the finest that these spots of 1.2 px have, k = 1 / px.
+    assert np.abs(np.array(found) - [own, other]).max() < 0.25 * max(own, other)
+    assert found[1] - found[0] == pytest.approx(other - own, abs=0.01 + 0.25 * (other - own))
+
+
+def test_spots_are_as_told_where_nothing_tells_them() -> None:
+    image = spots(np.eye(2), BLUR)
+    images = prepare_images(image, image, np.ones((SIZE, SIZE), np.int32), spots=(BLUR, BLUR))
+    none, settings = np.zeros(0, dtype=np.int64), MatchSettings(RADIUS)
+    nothing = match_points(images, none, none, np.zeros((0, 6)), settings)
+    assert measured_spots(images, none, none, nothing, settings) == (BLUR, BLUR)
+    x = np.arange(40, 81, 8)
+    alike = match_points(images, x, x, np.zeros((len(x), 6)), settings)
+    assert measured_spots(images, x, x, alike, settings) == pytest.approx((BLUR, BLUR), abs=1e-6)

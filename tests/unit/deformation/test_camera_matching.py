@@ -60,7 +60,7 @@ def matched(seen: list[TexturedCamera], order: int = 2) -> GridMatches:
     images = prepare_images(*(one.texture for one in seen), labels, (seen[0].noise, seen[1].noise))
     return match_cameras(
         *seen, images, nodes, settings, GridSettings(SPACING), RaySearch(VOLUME, within(2.0))
-    )
+    )[0]
 
 
 def errors(found: GridMatches, exact: Floats) -> tuple[Floats, Floats]:

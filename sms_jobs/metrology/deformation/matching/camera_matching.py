@@ -28,9 +28,11 @@ from sms_jobs.metrology.deformation.matching.epipolar_search import (
     search_along_rays,
 )
 from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, Seeds, spread_matches
+from sms_jobs.metrology.deformation.matching.ray_scatter import stated_by_rays
 from sms_jobs.metrology.deformation.matching.sampling import Nodes, choose_seeds
 from sms_jobs.metrology.deformation.matching.seeding import SearchSettings, seed_displacements
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP, carried
+from sms_jobs.metrology.deformation.matching.spots import measured_spots
 from sms_jobs.metrology.geometry.camera import Camera, project
 from sms_jobs.metrology.geometry.several_cameras import depths_in_box, points_along_rays
 
@@ -84,7 +86,7 @@ def match_cameras(
     grid: GridSettings,
     search: RaySearch,
     threads: int = 1,
-) -> GridMatches:
+) -> tuple[GridMatches, PreparedImages]:
     """Find the points of a grid of the reference camera in the image of a partner of the same size.
 
     Parameters
@@ -99,13 +101,21 @@ def match_cameras(
         Of the subsets, of what is accepted, and of the first matches.
     threads
         How many threads to use; the result does not depend on it.
+
+    Returns
+    -------
+    The matches, and the images with the spots that both cameras have been found to have.
     """
     if len(nodes.x) == 0:
-        return spread_matches(images, nodes, Seeds.none(), settings, grid, threads)
+        return spread_matches(images, nodes, Seeds.none(), settings, grid, threads), images
     squares = SearchSettings(template_radius=search.template_radius, spacing=search.spacing)
     first = choose_seeds(images.labels, nodes.x, nodes.y, squares)
     facing = _first_matches(reference, partner, nodes, first, search, threads)
-    result = spread_matches(images, nodes, _likely(first, facing, _SURE), settings, grid, threads)
+    seeds = _likely(first, facing, _SURE)
+    x, y = nodes.x[seeds.points], nodes.y[seeds.points]
+    trial = match_points(images, x, y, seeds.guess, settings, threads)
+    images = replace(images, spots=measured_spots(images, x, y, trial, settings))
+    result = spread_matches(images, nodes, seeds, settings, grid, threads)
     # What they have not led to may be tilted more: where there is such a place, matching goes on from there.
     lost = np.flatnonzero((facing.score < _SURE) & (result.matches.ending[first] != CONVERGED))
     if len(lost):
@@ -115,10 +125,11 @@ def match_cameras(
             known = _matched_of(result)
             result = spread_matches(images, nodes, seeds, settings, grid, threads, known=known)
     refuse_misfits(result.matches)
+    result = stated_by_rays(reference.camera, partner.camera, result, settings.radius, grid.spacing, threads)
     missed, allowed = _way_back(images, result, settings, threads)
     with np.errstate(invalid="ignore"):
         result.matches.ending[missed > allowed] = NOT_CONVERGED
-    return result
+    return result, images
 
 
 def refuse_misfits(found: Matches) -> None:

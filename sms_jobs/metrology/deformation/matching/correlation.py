@@ -8,6 +8,7 @@ sum of squared differences, f(x) = a g(W(x)) + b, with the gain a and offset b e
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,9 @@ CONVERGED, TOO_FEW_PIXELS, NO_TEXTURE, LEFT_IMAGE, NOT_CONVERGED, AMBIGUOUS = ra
 _REACH = PADDING - 3.0  # px that a subset may run over the image's border, on the reflected spline
 _UNSHARED = 8.0  # rate at which steps shrink over the decorrelation, 1 - score; by trial, on the safe side
 _WANDER = 4.0  # px from the guess beyond which an iteration has lost its subset
+
+Spots: TypeAlias = tuple[float, float]
+"""Variances in px^2 of the spots that a reference and a deformed image show of a point."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +100,9 @@ class PreparedImages:
         Of the reference and of the deformed image.
     interpolant
         The kind of the splines.
-    blur
-        Variance in px^2 of the spot that either image shows of a point; 0 where both show the specimen alike.
+    spots
+        Variance in px^2 of the spot that the reference and the deformed image show of a point; 0 where both
+        show the specimen alike.
     """
 
     reference: Floats
@@ -109,7 +114,7 @@ class PreparedImages:
     labels: NDArray[np.int32]
     noise: tuple[Noise, Noise]
     interpolant: Interpolant
-    blur: float = 0.0
+    spots: Spots = (0.0, 0.0)
 
     def way_back(self) -> PreparedImages:
         """Return the images the other way round, to match the deformed one, all of which is one region."""
@@ -120,7 +125,7 @@ class PreparedImages:
             everywhere,
             self.noise[::-1],
             self.interpolant,
-            self.blur,
+            self.spots[::-1],
         )
 
 
@@ -160,7 +165,7 @@ def prepare_images(
     labels: NDArray[np.int32],
     noise: tuple[Noise, Noise] = (Noise(0.0, 0.0), Noise(0.0, 0.0)),
     interpolant: Interpolant = "quintic",
-    blur: float = 0.0,
+    spots: Spots = (0.0, 0.0),
 ) -> PreparedImages:
     """Interpolate the deformed image and differentiate the reference image.
 
@@ -174,14 +179,14 @@ def prepare_images(
         Of the reference and of the deformed image.
     interpolant
         Between the pixels of the deformed image; the slopes of the reference image are its own.
-    blur
-        Variance in px^2 of what both images have been blurred by.
+    spots
+        Variance in px^2 of what the reference and the deformed image have been blurred by.
     """
     first, second = (
         (np.ascontiguousarray(image, dtype=np.float64), spline_coefficients(image, interpolant))
         for image in (reference, deformed)
     )
-    return _prepared(first, second, np.ascontiguousarray(labels, dtype=np.int32), noise, interpolant, blur)
+    return _prepared(first, second, np.ascontiguousarray(labels, dtype=np.int32), noise, interpolant, spots)
 
 
 def _prepared(
@@ -190,12 +195,12 @@ def _prepared(
     labels: Labels,
     noise: tuple[Noise, Noise],
     interpolant: Interpolant,
-    blur: float,
+    spots: Spots,
 ) -> PreparedImages:
     """Return two images, each with the coefficients of its spline, ready to be matched."""
     slopes = spline_gradient(reference[1], interpolant)
     return PreparedImages(
-        reference[0], *slopes, deformed[0], deformed[1], reference[1], labels, noise, interpolant, blur
+        reference[0], *slopes, deformed[0], deformed[1], reference[1], labels, noise, interpolant, spots
     )
 
 
@@ -303,7 +308,7 @@ def _refine(
 @kernel
 def _match_block(
     start: int, stop: int,
-    images: tuple[Floats, Floats, Floats, Floats, Labels], noise: Floats, blur: float,
+    images: tuple[Floats, Floats, Floats, Floats, Labels], noise: Floats, spots: tuple[float, float],
     x: Ints, y: Ints, radius: int, minimum: int, orders: tuple[int, int], ends: tuple[float, int],
     warp: Floats, sigma: Floats, score: Floats, iterations: Labels, ending: Labels, misfit: Floats,
 ) -> None:  # fmt: skip
@@ -321,7 +326,7 @@ def _match_block(
     for k in range(start, stop):
         p = warp[k]
         n = collect(
-            reference, gradient_x, gradient_y, labels, x[k], y[k], radius, p, blur, dx, dy, f, gx, gy, box
+            reference, gradient_x, gradient_y, labels, x[k], y[k], radius, p, spots, dx, dy, f, gx, gy, box
         )
         if n < minimum:
             ending[k] = TOO_FEW_PIXELS
@@ -345,8 +350,11 @@ def _match_block(
             left_over = 2.0 * ff * (1.0 - score[k]) / max(n - unknowns, 1)
             misfit[k] = left_over / variance
             variance = max(variance, left_over)
-            sigma[k, 0] = np.sqrt(variance * inverse[0, 0])
-            sigma[k, 1] = np.sqrt(variance * inverse[3, 3])
+            for axis in range(2):
+                along, across = p[3 * axis + 1], p[3 * axis + 2]
+                along, across = (1.0 + along, across) if axis == 0 else (along, 1.0 + across)
+                spread = along**2 * inverse[0, 0] + across**2 * inverse[3, 3]
+                sigma[k, axis] = np.sqrt(variance * (spread + 2.0 * along * across * inverse[0, 3]))
 
 
 def match_points(
@@ -385,14 +393,14 @@ def match_points(
     Baker & Matthews 2004, Pan et al. 2013, with the first-order shape function of thesis Eq. (1.2); the
     second order as in Gao et al. 2015, the zeroth with the guess's gradients as they are. With J the
     slopes of f, H = sum J J^T less the parts along 1 and f, the step is (sum f^2 / sum f g) H^-1 sum J~ g
-    and the covariance s^2 H^-1. s^2 is the sum of both images' noise variances, or the residual's where
-    that is larger. The noise model is the base since interpolation smooths the residual (but not the
-    match, which rests on slow grey level changes) by up to a third, and
-    the residual is what shows a subset whose shape does not fit.
+    and the covariance of the place s^2 F H^-1 F^T with F = 1 + grad u, since a step is in the reference
+    image. s^2 is the sum of both images' noise variances, or the residual's where that is larger. The noise
+    model is the base since interpolation smooths the residual (but not the match, which rests on slow grey
+    level changes) by up to a third, and the residual is what shows a subset whose shape does not fit.
 
-    Where the images have a `blur`, f is what the deformed image shows of it: a subset that is half as wide
-    there is blurred twice as far, and that is no noise. To f is added half of blur ((F^T F)^-1 - 1) times its
-    second derivatives, with F of the guess.
+    Where the images have `spots` s_0 and s_1, f is what the deformed image shows of it: a subset that is half
+    as wide there is blurred twice as far, and that is no noise. To f is added half of s_1 (F^T F)^-1 - s_0
+    times its second derivatives, with F of the guess.
     """
     warp = np.zeros((len(x), WARP))
     numbers = min(guess.shape[1], WARP if settings.shape_order == 2 else 6)
@@ -407,7 +415,7 @@ def match_points(
 
     def work(start: int, stop: int) -> None:
         _match_block(
-            start, stop, pixels, noise, images.blur, x, y, settings.radius, minimum, orders, ends,
+            start, stop, pixels, noise, images.spots, x, y, settings.radius, minimum, orders, ends,
             warp, result.sigma, result.score, result.iterations, result.ending, result.misfit,
         )  # fmt: skip
 

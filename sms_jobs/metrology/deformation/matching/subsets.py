@@ -13,10 +13,13 @@ RIM = 5  # px at an image's border where reflection bends its spline: the effect
 
 
 @inlined
-def blur_tensor(ux: float, uy: float, vx: float, vy: float) -> tuple[float, float, float]:
-    """Return xx, xy and yy of (F^T F)^-1 - 1 for F = 1 + grad u; 0 where a subset folds up.
+def blur_tensor(
+    spots: tuple[float, float], ux: float, uy: float, vx: float, vy: float
+) -> tuple[float, float, float]:
+    """Return xx, xy and yy of s_1 (F^T F)^-1 - s_0 for F = 1 + grad u; 0 where a subset folds up.
 
-    A spot that is round in the deformed image, of variance 1, has so much more in the reference image.
+    By so much the deformed image's spot, round there and of variance s_1, is wider in the reference image
+    than that one's own of variance s_0.
     """
     xx = (1.0 + ux) ** 2 + vx**2
     xy = (1.0 + ux) * uy + vx * (1.0 + vy)
@@ -24,7 +27,8 @@ def blur_tensor(ux: float, uy: float, vx: float, vy: float) -> tuple[float, floa
     determinant = xx * yy - xy * xy
     if not determinant > _FLAT:
         return 0.0, 0.0, 0.0
-    return yy / determinant - 1.0, -xy / determinant, xx / determinant - 1.0
+    scale = spots[1] / determinant
+    return scale * yy - spots[0], -scale * xy, scale * xx - spots[0]
 
 
 @inlined
@@ -45,16 +49,17 @@ def blurred_more(
 @kernel
 def collect(
     reference: Floats, gradient_x: Floats, gradient_y: Floats, labels: Labels, cx: int, cy: int, radius: int,
-    warp: Floats, blur: float, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, box: Ints,
+    warp: Floats, spots: tuple[float, float],
+    dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, box: Ints,
 ) -> int:  # fmt: skip
     """Fill a subset's offsets, grey levels and slopes and their bounding box; return its number of pixels.
 
     A pixel belongs if it lies on the centre's region and neither it nor its expected counterpart lies at the
     border of its image.
 
-    The grey levels are blurred, or sharpened, as the deformed image shows them. Both images have the same
-    `blur` (variance in px^2), but a subset that the deformed image shows larger is blurred less there, and
-    one that it shows smaller more: to first order by half of that times the second derivatives.
+    The grey levels are blurred, or sharpened, as the deformed image shows them. Its spot (variance in px^2)
+    may be another one, and a subset that it shows larger is blurred less there, and one that it shows smaller
+    more: to first order by half of that times the second derivatives.
     """
     rows, columns = labels.shape
     label = labels[cy, cx]
@@ -63,7 +68,8 @@ def collect(
     top = max(-radius, RIM - cy)
     bottom = min(radius, rows - 1 - RIM - cy)
     whole = inside(warp, cx, cy, left, right, top, bottom, rows, columns, -float(RIM))
-    tensor = blur_tensor(warp[1], warp[2], warp[4], warp[5])
+    tensor = blur_tensor(spots, warp[1], warp[2], warp[4], warp[5])
+    blurred = spots[0] + spots[1] > 0.0
     box[0], box[1], box[2], box[3] = right, left, bottom, top
     count = 0
     width = max(right - left + 1, 0)
@@ -86,10 +92,10 @@ def collect(
                 gx[np.uint64(first + i)] = gradient_x[row, np.uint64(cx + left + i)]
             for i in range(width):
                 gy[np.uint64(first + i)] = gradient_y[row, np.uint64(cx + left + i)]
-            if blur > 0.0:
+            if blurred:
                 for i in range(width):
                     more = blurred_more(gradient_x, gradient_y, cy + j, cx + left + i, tensor)
-                    f[np.uint64(first + i)] += blur * more
+                    f[np.uint64(first + i)] += more
             count += width
         elif own > 0:
             for i in range(left, right + 1):
@@ -101,8 +107,8 @@ def collect(
                 dx[count] = i
                 dy[count] = j
                 f[count] = reference[row, column]
-                if blur > 0.0:
-                    f[count] += blur * blurred_more(gradient_x, gradient_y, cy + j, cx + i, tensor)
+                if blurred:
+                    f[count] += blurred_more(gradient_x, gradient_y, cy + j, cx + i, tensor)
                 gx[count] = gradient_x[row, column]
                 gy[count] = gradient_y[row, column]
                 count += 1

@@ -16,7 +16,7 @@ import numpy as np
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, kernel, variable
 from sms_jobs.metrology.deformation.matching import window_maps
-from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
+from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.slow_changes import moved_by_slow_changes
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
 from sms_jobs.metrology.deformation.matching.window_maps import means
@@ -140,7 +140,7 @@ def _carry(top: int, left: int, coefficients: Floats, code: int, image: Floats, 
 
 @kernel
 def _see_as_deformed(
-    image: Floats, gradient_x: Floats, gradient_y: Floats, blur: float, seen: Floats
+    image: Floats, gradient_x: Floats, gradient_y: Floats, spots: Spots, seen: Floats
 ) -> None:
     """Blur or sharpen the reference image's grey levels `seen` as a displacement's slopes tell."""
     rows, columns = seen.shape
@@ -149,8 +149,8 @@ def _see_as_deformed(
             ux, uy = image[0, r, c + 1] - image[0, r, c - 1], image[0, r + 1, c] - image[0, r - 1, c]
             vx, vy = image[1, r, c + 1] - image[1, r, c - 1], image[1, r + 1, c] - image[1, r - 1, c]
             if np.isfinite(ux + uy + vx + vy):
-                tensor = blur_tensor(0.5 * ux, 0.5 * uy, 0.5 * vx, 0.5 * vy)
-                seen[r, c] += blur * blurred_more(gradient_x, gradient_y, r, c, tensor)
+                tensor = blur_tensor(spots, 0.5 * ux, 0.5 * uy, 0.5 * vx, 0.5 * vy)
+                seen[r, c] += blurred_more(gradient_x, gradient_y, r, c, tensor)
 
 
 def _left_over(
@@ -364,10 +364,10 @@ def _in_part(
 def _seen_as_deformed(images: PreparedImages, image: Floats, part: tuple[slice, slice]) -> Floats:
     """Return a part of the reference image, as blurred as the deformed one is."""
     f = images.reference[part]
-    if images.blur == 0.0:
+    if not any(images.spots):
         return f
     seen = f.copy()
-    _see_as_deformed(image[:, *part], images.gradient_x[part], images.gradient_y[part], images.blur, seen)
+    _see_as_deformed(image[:, *part], images.gradient_x[part], images.gradient_y[part], images.spots, seen)
     return seen
 
 

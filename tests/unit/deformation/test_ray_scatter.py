@@ -1,0 +1,93 @@
+"""Deviations of matches between cameras, by what they scatter across the images of their rays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from support.two_cameras import Floats, cameras, curved, seen_by
+
+from sms_jobs.metrology.deformation.matching.correlation import CONVERGED, NOT_CONVERGED, Matches
+from sms_jobs.metrology.deformation.matching.grid import GridMatches
+from sms_jobs.metrology.deformation.matching.ray_scatter import stated_by_rays
+from sms_jobs.metrology.geometry.camera import project
+
+RADIUS, SPACING = 4, 3
+STATED = 0.01
+"""In px, of every match."""
+Along = Callable[[Floats], Floats]
+
+
+def matches(scatter: Along, trend: Along, misfit: float = 4.0) -> GridMatches:
+    """Return matches that scatter by so many px and are off by a trend, both from 0 to 1 along the columns.
+
+    Their errors are drawn one by one, though their subsets would overlap.
+    """
+    rig = cameras()
+    points = np.moveaxis(seen_by(rig[0], curved).points, 0, -1)
+    place = project(rig[1].intrinsics, rig[1].pose, points)
+    rows, columns = points.shape[:2]
+    y, x = (axis.ravel() for axis in np.mgrid[1:rows:SPACING, 1:columns:SPACING])
+    slope = np.stack([np.gradient(place, axis=1), np.gradient(place, axis=0)], axis=-1)[y, x]
+    random = np.random.default_rng(4)
+    there = place[y, x] + random.normal(0.0, 1.0, (len(x), 2)) * scatter(x / columns)[:, None]
+    there[:, 1] += trend(x / columns)
+    warp = np.zeros((len(x), 6))
+    warp[:, [0, 3]] = there - np.stack([x, y], axis=1)
+    warp[:, [1, 2]], warp[:, [4, 5]] = slope[:, 0] - [1.0, 0.0], slope[:, 1] - [0.0, 1.0]
+    count = len(x)
+    found = Matches(
+        warp,
+        np.full((count, 2), STATED),
+        np.full(count, 0.99),
+        np.ones(count, np.int32),
+        np.full(count, CONVERGED, np.int32),
+        np.full(count, misfit),
+    )
+    return GridMatches(x, y, found)
+
+
+def stated(found: GridMatches) -> tuple[Floats, Floats]:
+    """Return where nodes lie along the columns, 0 to 1, and their deviations (n, 2) by their rays."""
+    rig = cameras()
+    result = stated_by_rays(*rig, found, RADIUS, SPACING)
+    return found.x / rig[0].columns, result.matches.sigma
+
+
+def test_deviations_are_those_of_the_scatter_here_and_there() -> None:
+    def scatter(x: Floats) -> Floats:
+        return np.where(x < 0.5, 0.02, 0.006)
+
+    def trend(x: Floats) -> Floats:
+        return 0.1 * np.sin(2.0 * np.pi * x)  # what a calibration may be wrong by
+
+    x, sigma = stated(matches(scatter, trend))
+    for part, expected in ((x < 0.4, 0.02), (x > 0.6, 0.006)):
+        # 5,000 second differences of each axis tell their own mean to 2 %; the trend's are 0.006 px at most.
+        assert np.sqrt(np.mean(sigma[part] ** 2)) == pytest.approx(expected, rel=0.05)
+        # About one node 13 x 13 of either axis tell a variance to some 12 %.
+        assert np.std(sigma[part]) < 0.1 * expected
+
+
+def test_no_deviation_is_less_than_that_by_noise() -> None:
+    """What a subset leaves over is four times noise: its deviation is at least half of what it said."""
+    _, sigma = stated(matches(lambda x: 0.001 + 0.0 * x, lambda x: 0.0 * x))
+    np.testing.assert_allclose(sigma, 0.5 * STATED)
+
+
+def test_what_is_of_another_surface_is_no_scatter() -> None:
+    """One match in a hundred is off by 100 deviations, for which second differences count as 4."""
+    found = matches(lambda x: 0.01 + 0.0 * x, lambda x: 0.0 * x)
+    found.matches.warp[::101, 3] += 100 * STATED
+    _, sigma = stated(found)
+    # Three second differences of an axis hold each: 3 % of them, of 16 at most in place of 1.
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(STATED * np.sqrt(1.0 + 0.03 * 15.0), rel=0.05)
+
+
+def test_few_matches_tell_nothing() -> None:
+    found = matches(lambda x: 0.05 + 0.0 * x, lambda x: 0.0 * x)
+    found.matches.ending[found.y > 20] = NOT_CONVERGED
+    found.matches.ending[found.x > 20] = NOT_CONVERGED
+    _, sigma = stated(found)
+    np.testing.assert_array_equal(sigma, STATED)
