@@ -223,7 +223,14 @@ class ImageMatches:
 
 @dataclass(frozen=True)
 class PlacesSeen:
-    """Where another camera sees what each pixel of the reference camera sees at the same time."""
+    """Where another camera sees what each pixel of the reference camera sees at the same time.
+
+    Attributes
+    ----------
+    reference_blur_px, blur_px
+        By how much the lens of the reference camera, and of this one, blurs its image, as a standard
+        deviation in px; 0 where it has not been seen.
+    """
 
     camera: str
     shift: Singles = array(
@@ -232,6 +239,8 @@ class PlacesSeen:
         VECTOR_IMAGE,
         ("x", "y"),
     )
+    reference_blur_px: float = 0.0
+    blur_px: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from sms_jobs.metrology.deformation.fields.followed_points import (
 )
 from sms_jobs.metrology.deformation.matching.correlation import (
     PreparedImages,
+    Spots,
     prepare_images,
 )
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
@@ -78,11 +79,13 @@ def needs_of_partners(
 class _Scene:
     """What following has to go by: both states' cameras, first places and where to look for the last ones.
 
-    Places are (2, rows, columns) in px for each partner, NaN where there is none.
+    Places are (2, rows, columns) in px for each partner, NaN where there is none; spots are those of the
+    filtered images of the reference camera and of each partner.
     """
 
     cameras: tuple[list[Camera], list[Camera]]
     first: list[Floats]
+    spots: list[Spots]
     expected: list[Floats]
 
 
@@ -122,7 +125,7 @@ def followed_field(
         inputs.threads,
     )
     field = replace(field, image_displacement=own.moved)
-    scene = _scene(inputs, ports, field, before)
+    scene = _scene(inputs, ports, field, before, parameters.smoothing_px)
     at_rest, later = inputs.about(PARTNERS_AT_REST), inputs.about(PARTNERS)
     ends = []
     for k, (first, last) in enumerate(zip(at_rest, later, strict=True)):
@@ -151,16 +154,21 @@ def _cameras(calibration: Calibration, view: View) -> list[Camera]:
     return [Camera(s.intrinsics, s.pose, s.columns, s.rows) for s in sensors]
 
 
-def _scene(inputs: Inputs, ports: StatePorts, field: DisplacementField, before: TexturedState) -> _Scene:
+def _scene(
+    inputs: Inputs, ports: StatePorts, field: DisplacementField, before: TexturedState, smoothing_px: float
+) -> _Scene:
     view = inputs.view
     cameras = tuple(
         _cameras(inputs.read(port, CALIBRATED), view) for port in (CALIBRATION_AT_REST, CALIBRATION_OF_SHAPE)
     )
     pixels = _pixels(field.reason.shape)
-    first = [pixels + inputs.read(ports.surface.port, PLACES.of(name)).shift for name in view.other_cameras]
+    seen = [inputs.read(ports.surface.port, PLACES.of(name)) for name in view.other_cameras]
+    first = [pixels + one.shift for one in seen]
+    own, other = spots_of(smoothing_px)
+    spots = [(own + one.reference_blur_px**2, other + one.blur_px**2) for one in seen]
     end = before.surface.position + field.displacement
     expected = [_as_seen(camera, end) for camera in cameras[1][1:]]
-    return _Scene((cameras[0], cameras[1]), first, expected)
+    return _Scene((cameras[0], cameras[1]), first, spots, expected)
 
 
 def _pixels(shape: tuple[int, ...]) -> Floats:
@@ -265,7 +273,7 @@ def _by_first_image(
         before.matched,
         (before.noise, noise),
         parameters.interpolation,
-        spots=spots_of(parameters.smoothing_px),
+        spots=scene.spots[partner],
     )
     subsets = Subsets(surface.subset_radius_px, cast(ShapeOrder, surface.shape_order))
     spread = match_and_spread(

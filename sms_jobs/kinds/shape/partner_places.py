@@ -9,10 +9,11 @@ import numpy as np
 
 from sms_jobs.kinds.point_matches import between_matches, trusted_points
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
+from sms_jobs.kinds.shape.textures import spots_of
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.fields.displacement import blended
 from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCamera
-from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
+from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import pixel_grid
@@ -47,12 +48,15 @@ class PartnerPlaces:
         (2, rows, columns), in px^2: what of the variances is the noise of both images.
     disagree
         (rows, columns): where there was a place at which the partner shows something else.
+    lenses
+        By how much the lenses of the reference camera and of the partner blur, variances in px^2.
     """
 
     place: Floats
     variance: Floats
     noise: Floats
     disagree: Mask
+    lenses: Spots
 
 
 def places_of_pixels(
@@ -74,7 +78,9 @@ def places_of_pixels(
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
     disagree = widened(narrowed(off | ~verified.agrees, 3, border_ends=True), 3) & np.isfinite(place[0])
     np.copyto(place, np.nan, where=disagree)
-    return PartnerPlaces(place, variance, spread.noise, disagree)
+    filtered = spots_of(parameters.smoothing_px)
+    lenses = images.spots[0] - filtered[0], images.spots[1] - filtered[1]
+    return PartnerPlaces(place, variance, spread.noise, disagree, lenses)
 
 
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:
@@ -143,4 +149,5 @@ def places_seen(camera: str, spread: PartnerPlaces, surface: Surface) -> PlacesS
     """Return what is kept of a partner's places: those that the surface has been made of."""
     shift = spread.place - np.moveaxis(pixel_grid(*surface.reason.shape), -1, 0)
     np.copyto(shift, np.nan, where=surface.reason != Reason.VALID)
-    return PlacesSeen(camera, shift.astype(np.float32))
+    own, other = (float(np.sqrt(lens)) for lens in spread.lenses)
+    return PlacesSeen(camera, shift.astype(np.float32), own, other)
