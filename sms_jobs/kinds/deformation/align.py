@@ -198,7 +198,7 @@ def _record(name: str, points: CommonPoints, found: Alignment) -> ViewAlignment:
 KIND = Kind(
     name="align",
     summary="how other campaigns' views lie to this one's, by the texture of the specimen, and the residual",
-    version=7,
+    version=6,
     scope=Scope.CAMPAIGN,
     parameters=AlignParameters,
     inputs=_AT_REST.all,

@@ -43,7 +43,7 @@ class PartnerPlaces:
     ----------
     place, variance
         (2, rows, columns): where the partner sees what the pixel sees, in px, NaN where nobody has looked or
-        the images disagree, and its variances in px^2.
+        the images disagree, and its variances in px^2, the square of what subsets cannot follow included.
     noise
         (2, rows, columns), in px^2: what of the variances is the noise of both images.
     disagree
@@ -80,7 +80,7 @@ def places_of_pixels(
     np.copyto(place, np.nan, where=disagree)
     filtered = spots_of(parameters.smoothing_px)
     lenses = images.spots[0] - filtered[0], images.spots[1] - filtered[1]
-    return PartnerPlaces(place, variance, spread.noise, disagree, lenses)
+    return PartnerPlaces(place, variance + verified.bias, spread.noise, disagree, lenses)
 
 
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:

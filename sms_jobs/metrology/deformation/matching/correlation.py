@@ -350,11 +350,8 @@ def _match_block(
             left_over = 2.0 * ff * (1.0 - score[k]) / max(n - unknowns, 1)
             misfit[k] = left_over / variance
             variance = max(variance, left_over)
-            for axis in range(2):
-                along, across = p[3 * axis + 1], p[3 * axis + 2]
-                along, across = (1.0 + along, across) if axis == 0 else (along, 1.0 + across)
-                spread = along**2 * inverse[0, 0] + across**2 * inverse[3, 3]
-                sigma[k, axis] = np.sqrt(variance * (spread + 2.0 * along * across * inverse[0, 3]))
+            sigma[k, 0] = np.sqrt(variance * inverse[0, 0])
+            sigma[k, 1] = np.sqrt(variance * inverse[3, 3])
 
 
 def match_points(
@@ -393,10 +390,10 @@ def match_points(
     Baker & Matthews 2004, Pan et al. 2013, with the first-order shape function of thesis Eq. (1.2); the
     second order as in Gao et al. 2015, the zeroth with the guess's gradients as they are. With J the
     slopes of f, H = sum J J^T less the parts along 1 and f, the step is (sum f^2 / sum f g) H^-1 sum J~ g
-    and the covariance of the place s^2 F H^-1 F^T with F = 1 + grad u, since a step is in the reference
-    image. s^2 is the sum of both images' noise variances, or the residual's where that is larger. The noise
-    model is the base since interpolation smooths the residual (but not the match, which rests on slow grey
-    level changes) by up to a third, and the residual is what shows a subset whose shape does not fit.
+    and the covariance s^2 H^-1. s^2 is the sum of both images' noise variances, or the residual's where
+    that is larger. The noise model is the base since interpolation smooths the residual (but not the
+    match, which rests on slow grey level changes) by up to a third, and
+    the residual is what shows a subset whose shape does not fit.
 
     Where the images have `spots` s_0 and s_1, f is what the deformed image shows of it: a subset that is half
     as wide there is blurred twice as far, and that is no noise. To f is added half of s_1 (F^T F)^-1 - s_0

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
+from sms_jobs.metrology.deformation.matching.correlation import CONVERGED, Matches
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.geometry.camera import Camera, project
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
@@ -37,7 +37,8 @@ def stated_by_rays(
 
     Returns
     -------
-    The matches with other `sigma`, and with `misfit` what their variance is of that by noise.
+    The matches with other `sigma`, of the place in the partner's image, and with `misfit` what their variance
+    is of that by noise.
 
     Notes
     -----
@@ -48,13 +49,25 @@ def stated_by_rays(
     is wrong by, which changes slowly; their mean square over some subsets on either side is what the stated
     variance is multiplied by, along the ray too, but never to less than noise.
     """
-    matches = found.matches
+    matches = _at_the_place(found.matches)
+    found = replace(found, matches=matches)
     square = _mean_squares(_off_rays(reference, partner, found, threads), found, radius, spacing)
     told = np.maximum(matches.misfit, 1.0)
     times = np.maximum(np.where(np.isfinite(square), square, 1.0), 1.0 / told)
     return replace(
         found, matches=replace(matches, sigma=matches.sigma * np.sqrt(times)[:, None], misfit=told * times)
     )
+
+
+def _at_the_place(matches: Matches) -> Matches:
+    """Return matches with deviations of the place in the partner's image, not of the step that led there.
+
+    That is in the reference image: F = 1 + grad u times as long in the partner's.
+    """
+    ux, uy, vx, vy = matches.warp[:, [1, 2, 4, 5]].T
+    u, v = matches.sigma.T
+    sigma = np.stack([np.hypot((1.0 + ux) * u, uy * v), np.hypot(vx * u, (1.0 + vy) * v)], axis=1)
+    return replace(matches, sigma=sigma)
 
 
 def _off_rays(reference: Camera, partner: Camera, found: GridMatches, threads: int) -> Floats:
