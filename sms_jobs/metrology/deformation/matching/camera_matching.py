@@ -41,6 +41,8 @@ Corner: TypeAlias = tuple[float, float, float]
 _SURE = 0.6  # correlation from which on a surface that faces the cameras explains a place
 _SEED_SCORE = 0.4  # of a place to a pixel: a poor start, but the refinement judges it
 _MISFIT = 12.0  # variance left over, in medians: on a curved panel no more than 8, across a step 50 to 500
+_TRIALS = 3  # of spots, each half as much wider as the one before
+_AS_MANY = 2.0 / 3.0  # of the first points must be matched with wider spots, too
 _RETURN_SIGMAS = 4.0  # by which a point may come back beside where it set out
 _RETURN_PX = 0.05  # and at least: what two subsets of different shapes may differ by
 _RETURN_RADIUS = 2.0 / 3.0  # of the subsets on the way back: a quarter of the time, and a second opinion
@@ -112,9 +114,7 @@ def match_cameras(
     first = choose_seeds(images.labels, nodes.x, nodes.y, squares)
     facing = _first_matches(reference, partner, nodes, first, search, threads)
     seeds = _likely(first, facing, _SURE)
-    x, y = nodes.x[seeds.points], nodes.y[seeds.points]
-    trial = match_points(images, x, y, seeds.guess, settings, threads)
-    images = replace(images, spots=measured_spots(images, x, y, trial, settings))
+    images = _as_blurred(images, nodes, seeds, settings, threads)
     result = spread_matches(images, nodes, seeds, settings, grid, threads)
     # What they have not led to may be tilted more: where there is such a place, matching goes on from there.
     lost = np.flatnonzero((facing.score < _SURE) & (result.matches.ending[first] != CONVERGED))
@@ -130,6 +130,30 @@ def match_cameras(
     with np.errstate(invalid="ignore"):
         result.matches.ending[missed > allowed] = NOT_CONVERGED
     return result, images
+
+
+def _as_blurred(
+    images: PreparedImages, nodes: Nodes, seeds: Seeds, settings: MatchSettings, threads: int
+) -> PreparedImages:
+    """Return the images with spots as wide as the first matches say.
+
+    A reference image that is much less sharp than the partner's cannot be made as sharp: what is added then
+    drowns in its own noise, and nothing is matched. So half of what is measured is taken, and so on, if with
+    it clearly fewer of the first points are matched than without.
+    """
+    x, y = nodes.x[seeds.points], nodes.y[seeds.points]
+    first = match_points(images, x, y, seeds.guess, settings, threads)
+    least = images.spots
+    more = np.subtract(measured_spots(images, x, y, first, settings), least)
+    good = first.ending == CONVERGED
+    x, y, guess = x[good], y[good], first.warp[good]
+    for _ in range(_TRIALS):
+        trial = replace(images, spots=(least[0] + float(more[0]), least[1] + float(more[1])))
+        again = match_points(trial, x, y, guess, settings, threads)
+        if (again.ending == CONVERGED).sum() >= _AS_MANY * len(x):
+            return trial
+        more = 0.5 * more
+    return images
 
 
 def refuse_misfits(found: Matches) -> None:
