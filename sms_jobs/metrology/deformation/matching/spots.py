@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import optimize
 
 from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.deformation.matching.correlation import (
@@ -47,6 +46,8 @@ def measured_spots(
     `match_points`), which are at right angles to f's slopes but for chance. What a lens adds is not negative,
     and 0 give or take 0.5 px^2 before anything is seen.
     """
+    from scipy.optimize import nnls
+
     normal, right = np.eye(2) / _SIGMA**2, np.zeros(2)
     some = _whole(images, x, y, found, settings.radius)
     if len(some):
@@ -56,7 +57,7 @@ def measured_spots(
         normal += np.einsum("n,nip,njp->ij", weight, wider, wider)
         right -= np.einsum("n,nip,np->i", weight, wider, left)
     root = np.linalg.cholesky(normal)
-    more, _ = optimize.nnls(root.T, np.linalg.solve(root, right))
+    more, _ = nnls(root.T, np.linalg.solve(root, right))
     return images.spots[0] + float(more[0]), images.spots[1] + float(more[1])
 
 
