@@ -112,11 +112,9 @@ def _matched(
 ) -> GridMatches:
     """Match points of a grid from where they are expected, (2, rows, columns) in px."""
     nodes = sample_nodes(images.labels, parameters.spacing_px, parameters.edge_spacing_px)
-    slopes = slopes_of_places(expected, subsets.radius)[:, :, nodes.y, nodes.x]
-    slopes -= np.eye(2)[..., None]
-    u, v = expected[:, nodes.y, nodes.x] - [nodes.x, nodes.y]
-    guess = np.stack([u, *slopes[0], v, *slopes[1]], axis=1)
-    known = np.isfinite(u)
+    guess = _guess(expected, subsets)[:, nodes.y, nodes.x].T
+    guess[:, [0, 3]] -= np.stack([nodes.x, nodes.y], axis=1)
+    known = np.isfinite(guess[:, 0])
     x, y = nodes.x[known], nodes.y[known]
     settings = replace(
         match_settings(parameters, parameters.minimum_subset_part),
@@ -127,3 +125,20 @@ def _matched(
     limits = GridSettings(minimum_score=parameters.minimum_score, maximum_sigma=parameters.maximum_sigma_px)
     ending = np.where(is_sure(found, limits), CONVERGED, NOT_CONVERGED).astype(np.int32)
     return GridMatches(x, y, replace(found, ending=ending))
+
+
+def _guess(expected: Floats, subsets: Subsets) -> Floats:
+    """Return the warp at every pixel by what is expected, (6 or 12, rows, columns), with places for shifts.
+
+    Bends are part of it where subsets have them: left to the iteration they would be found last, and what
+    they are still wrong by when it ends moves all places of a curved surface the same way.
+    """
+    slopes = slopes_of_places(expected, subsets.radius)
+    numbers = [expected[0], *slopes[0], expected[1], *slopes[1]]
+    if subsets.order == 2:
+        for slope in slopes:
+            (xx, xy), (_, yy) = slopes_of_places(slope, subsets.radius)
+            numbers += [xx, xy, yy]
+    warp = np.stack(numbers)
+    warp[[1, 5]] -= 1.0
+    return warp

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from sms_jobs.bench.studies.stereo_strategies import WAYS, compared, motions
 
 
@@ -20,8 +18,5 @@ def test_all_ways_find_a_small_shift() -> None:
         # The same texture seen by the same camera is matched better than by another.
         assert judged["own-reference"].median < judged["each-state"].median
         assert all(one.valid > 0.4 for one in judged.values())
-        every_time = [one for way, one in judged.items() if way != "shared-reference"]
-        assert all(one.bias < 0.2 * one.rms for one in every_time)
-    # By the first image the mean of one recording is up to 0.21 of the rms (0.09 is chance: some 130 subsets
-    # do not overlap): only the mean of both is below.
-    assert np.mean([one["shared-reference"].bias / one["shared-reference"].rms for one in both]) < 0.2
+        # Some 130 subsets do not overlap: by chance alone the mean of one recording is 0.09 of the rms.
+        assert all(one.bias < 0.2 * one.rms for one in judged.values())
