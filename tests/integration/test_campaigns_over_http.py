@@ -105,10 +105,14 @@ def test_provenance_is_a_document(web: httpx2.Client) -> None:
 
 
 def test_a_system_test_is_planned_and_refused_without_what_it_needs(web: httpx2.Client) -> None:
-    bar = {"length_mm": 60.0, "radius_mm": 5.0}
+    certified = {"length_mm": 60.0, "radius_mm": 5.0}
+    bar = certified | {"length_sigma_mm": 0.005, "radius_sigma_mm": 0.002, "form_sigma_mm": 0.001}
     asked = {"rig": "small-virtual-rig", "name": "check", "bar": bar}
     assert "no calibration in use" in web.post("calibrations/tests", json=asked).json()["error"]
     assert web.post("calibrations/1/use", json={"in_use": True}).status_code == 200
+    # A certificate without its uncertainties would count as exact.
+    bare = web.post("calibrations/tests", json=asked | {"bar": certified})
+    assert (bare.status_code, "length_sigma_mm" in bare.text) == (422, True)
     made = web.post("calibrations/tests", json=asked)
     assert made.status_code == 201, made.text
     assert {one["campaign"] for one in made.json()} == {"check-bar"}

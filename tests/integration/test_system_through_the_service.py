@@ -20,9 +20,11 @@ from sms_jobs.virtual_rig.sessions import BEGIN
 
 USAGE, NOT_FOUND, CONFLICT, FINDINGS = 2, 3, 4, 6
 CERTIFICATES = (
-    *("--bar", "150,22", "--bar-sigma", "0.005,0.002", "--plate", "120,100"),
-    *("--plate-form-sigma", "0.002"),
+    *("--bar", "150,22", "--bar-sigma", "0.005,0.002", "--bar-form-sigma", "0.001"),
+    *("--plate", "120,100", "--plate-form-sigma", "0.002"),
 )
+OF_BAR = ("--bar-sigma", "0.005,0.002", "--bar-form-sigma", "0.001")
+OF_PLATE = ("--plate-form-sigma", "0.002")
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +109,7 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
         ),
         ((*report, "--limit", "flatness=1", "--risk", "0.9"), USAGE, "a risk is between 0 and 0.5"),
         ((*plan, "--name", "check", *CERTIFICATES), CONFLICT, "there is a campaign check-bar already"),
-        ((*plan, "--name", "long", "--bar", "900,22"), USAGE, "does not fit along X"),
+        ((*plan, "--name", "long", "--bar", "900,22", *OF_BAR), USAGE, "does not fit along X"),
         ((*plan, "--name", "none"), USAGE, "a test needs an artefact"),
         ((*plan, "--name", "odd", "--bar", "900"), USAGE, "--bar takes two numbers in mm"),
         (
@@ -115,11 +117,27 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
             USAGE,
             "--bar-sigma takes two numbers in mm, as 0.005,0.002, not '0.005'",
         ),
-        ((*plan, "--name", "odd", "--bar", "inf,22"), USAGE, "not 22 and inf mm"),
-        ((*plan, "--name", "odd", "--bar", "40,22"), USAGE, "a distance above twice that, not 22 and 40 mm"),
-        ((*plan, "--name", "odd", "--plate", "0,0"), USAGE, "higher than 0 mm, not 0 x 0 mm"),
-        ((*plan, "--name", "odd", "--plate=-10,20"), USAGE, "higher than 0 mm, not -10 x 20 mm"),
-        ((*plan, "--name", "odd", "--plate", "nan,20"), USAGE, "higher than 0 mm, not nan x 20 mm"),
+        ((*plan, "--name", "odd", "--bar", "inf,22", *OF_BAR), USAGE, "not 22 and inf mm"),
+        (
+            (*plan, "--name", "odd", "--bar", "40,22", *OF_BAR),
+            USAGE,
+            "a distance above twice that, not 22 and 40 mm",
+        ),
+        ((*plan, "--name", "odd", "--plate", "0,0", *OF_PLATE), USAGE, "higher than 0 mm, not 0 x 0 mm"),
+        ((*plan, "--name", "odd", "--plate=-10,20", *OF_PLATE), USAGE, "higher than 0 mm, not -10 x 20 mm"),
+        (
+            (*plan, "--name", "odd", "--plate", "nan,20", *OF_PLATE),
+            USAGE,
+            "higher than 0 mm, not nan x 20 mm",
+        ),
+        # What a certificate says of its own uncertainty cannot be left out: the artefact would be exact.
+        ((*plan, "--name", "odd", "--bar", "150,22"), USAGE, "--bar needs --bar-sigma, the standard"),
+        (
+            (*plan, "--name", "odd", "--bar", "150,22", "--bar-sigma", "0.005,0.002"),
+            USAGE,
+            "--bar needs --bar-form-sigma, the standard uncertainty in mm that its certificate states",
+        ),
+        ((*plan, "--name", "odd", "--plate", "120,100"), USAGE, "--plate needs --plate-form-sigma, the"),
         (
             (*plan, "--name", "odd", "--plate", "120,100", "--bar-sigma", "0.005,0.002"),
             USAGE,
@@ -134,6 +152,33 @@ def test_what_makes_no_sense_is_refused(tested: Path) -> None:
         done = inside(*words)
         assert done.returncode == code, (words, done.stderr)
         assert why in " ".join(done.stderr.split())
+
+
+def test_an_artefact_that_counts_as_exact_is_told_before_anybody_signs(tested: Path) -> None:
+    """An uncertainty of 0, as of plans that were made without, leaves a part out of u."""
+    home = ("--home", str(tested))
+    report = ("calibration", "test", "report", "check-bar", *home, "--limit", "sphere-distance=0.1", "--json")
+    submit = ("job", "submit", "system-test", "-c", "check-bar", *home)
+    before = json.loads(inside(*report).stdout)
+    with service(tested):
+        answer("job", "wait", *answer(*submit, "--set", "system-test.length_sigma_mm=0")["jobs"], *home)
+        exact = inside(*report)
+        answer("job", "wait", *answer(*submit)["jobs"], *home)
+    assert exact.returncode == FINDINGS
+    told = json.loads(exact.stdout)
+    assert told["doubts"] == [
+        (
+            "the artefact of check-bar counts as exact in sphere-distance: length_sigma_mm is 0; submit "
+            "system-test again with what its certificate states"
+        )
+    ]
+    assert (
+        "distance of spheres 150 mm taken as exact, radius 22 mm ± 0.002 mm"
+        in told["sources"][0]["certificate"]
+    )
+    # A limit that rests on nothing certified as exact is judged without a word.
+    again = json.loads(inside(*report).stdout)
+    assert (again["doubts"], again["judgements"]) == ([], before["judgements"])
 
 
 def test_another_calibration_is_told_before_anybody_signs(tested: Path, tmp_path: Path) -> None:

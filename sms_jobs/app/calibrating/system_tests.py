@@ -37,6 +37,14 @@ if TYPE_CHECKING:
     from sms_jobs.records.system_test import SystemTest
 
 KIND = "system-test"
+_CERTIFIED = {
+    "probing-form": ("form_sigma_mm",),
+    "probing-size": ("radius_sigma_mm",),
+    "sphere-distance": ("length_sigma_mm",),
+    "length": ("length_sigma_mm", "radius_sigma_mm"),
+    "flatness": ("form_sigma_mm",),
+}
+"""Parameters of the kind with the uncertainties of the certificate that a quantity rests on."""
 
 
 @dataclass(frozen=True)
@@ -264,6 +272,7 @@ def judge(
                 f"what is judged of {name} is not what would be measured now: {stale}; submit its shapes and "
                 f"{KIND} again"
             )
+        doubts += _taken_as_exact(name, stored, limits)
     tested = sorted({one.number for source in sources for one in source.calibrations})
     if len(tested) > 1:
         doubts.append(
@@ -287,6 +296,20 @@ def judge(
     return SystemVerdict(
         next(iter(rigs)), risk, whole, judgements, tuple(values), tuple(sources), tuple(doubts)
     )
+
+
+def _taken_as_exact(campaign: str, stored: StoredRecord, limits: Mapping[str, float]) -> list[str]:
+    """Say which uncertainties of an artefact are 0 or were not given, where something is judged with them."""
+    given = stored.provenance.parameters
+    judged = [name for name in limits if name in stored.record.quantities]
+    resting = {name: [one for one in _CERTIFIED[name] if not given.get(one)] for name in judged}
+    exact = [name for name in judged if resting[name]]
+    missing = dict.fromkeys(one for some in resting.values() for one in some)
+    told = (
+        f"the artefact of {campaign} counts as exact in {', '.join(exact)}: {', '.join(missing)} "
+        f"{'is' if len(missing) == 1 else 'are'} 0; submit {KIND} again with what its certificate states"
+    )
+    return [told] if exact else []
 
 
 def _source(services: Services, campaign: str, stored: StoredRecord) -> tuple[ErrorSource, str]:

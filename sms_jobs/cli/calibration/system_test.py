@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -19,6 +19,7 @@ from sms_jobs.errors import InvalidInput
 app = typer.Typer(help="Test a measuring system by artefacts with certificates.", no_args_is_help=True)
 
 _FINDINGS = 6
+_Sigma = TypeVar("_Sigma", str, float)
 
 
 @app.command()
@@ -31,18 +32,18 @@ def plan(
     ] = None,
     bar_sigma: Annotated[
         str | None,
-        typer.Option(help="Standard uncertainties of both in mm, as 0.005,0.002; 0 if not given."),
+        typer.Option(help="Standard uncertainties of both in mm, as 0.005,0.002; 0 is exact."),
     ] = None,
     bar_form_sigma: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Standard uncertainty of the spheres' roundness in mm; 0 if not given."),
+        typer.Option(min=0.0, help="Standard uncertainty of the spheres' roundness in mm; 0 is exact."),
     ] = None,
     plate: Annotated[
         str | None, typer.Option(help="Width and height of a flat plate in mm, as 300,200.")
     ] = None,
     plate_form_sigma: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Standard uncertainty of the plate's flatness in mm; 0 if not given."),
+        typer.Option(min=0.0, help="Standard uncertainty of the plate's flatness in mm; 0 is exact."),
     ] = None,
     like: Annotated[
         str | None,
@@ -57,21 +58,23 @@ def plan(
     """Create the campaigns of a test: a bar of two spheres and a plate, at positions all over the volume.
 
     The volume is that of the calibration in use. Record the states as those of any campaign, then submit
-    reconstruct and system-test.
+    reconstruct and system-test. An artefact needs its uncertainties: half of expanded ones with k = 2.
 
     Example: sms calibration test plan hall-3 --name check --bar 480,25 --bar-sigma 0.005,0.002
-    --plate 300,200 --plate-form-sigma 0.002; sms job submit reconstruct system-test -c check-bar --wait
+    --bar-form-sigma 0.001; sms job submit reconstruct system-test -c check-bar --wait
     """
     _of_an_artefact("--bar", bar, {"--bar-sigma": bar_sigma, "--bar-form-sigma": bar_form_sigma})
     _of_an_artefact("--plate", plate, {"--plate-form-sigma": plate_form_sigma})
     of_bar = None
     if bar is not None:
         length, radius = _two(bar, "--bar", "480,25")
-        sigmas = (0.0, 0.0) if bar_sigma is None else _two(bar_sigma, "--bar-sigma", "0.005,0.002")
-        of_bar = BarCertificate(length, sigmas[0], radius, sigmas[1], bar_form_sigma or 0.0)
+        sigmas = _two(_stated(bar_sigma, "--bar-sigma", "--bar"), "--bar-sigma", "0.005,0.002")
+        form = _stated(bar_form_sigma, "--bar-form-sigma", "--bar")
+        of_bar = BarCertificate(length, sigmas[0], radius, sigmas[1], form)
     of_plate = None
     if plate is not None:
-        of_plate = PlateCertificate(*_two(plate, "--plate", "300,200"), plate_form_sigma or 0.0)
+        size = _two(plate, "--plate", "300,200")
+        of_plate = PlateCertificate(*size, _stated(plate_form_sigma, "--plate-form-sigma", "--plate"))
     with bootstrap.services(home) as services:
         made = system_tests.plan(services, rig, name, of_bar, of_plate, like)
     if as_json:
@@ -115,7 +118,7 @@ def report(
 
     Decides by guarded acceptance: conform, not conform, or undecided at the stated risk. No conformity with a
     standard is claimed. Ends with 6 unless all of it is conform, and measured with the one calibration that
-    holds.
+    holds and artefacts whose uncertainty is known.
 
     Example: sms calibration test report check-bar check-plate --limit sphere-distance=0.05
     --limit flatness=0.04 --risk 0.05 -o check.html
@@ -156,6 +159,16 @@ def _of_an_artefact(artefact: str, given: str | None, certified: Mapping[str, st
     for option, value in certified.items():
         if given is None and value is not None:
             raise InvalidInput(f"{option} {value} belongs to {artefact}, which is not given; add {artefact}")
+
+
+def _stated(sigma: _Sigma | None, option: str, artefact: str) -> _Sigma:
+    """Return an uncertainty; refuse a certificate without: its value would count as exact."""
+    if sigma is None:
+        raise InvalidInput(
+            f"{artefact} needs {option}, the standard uncertainty in mm that its certificate states: without "
+            "it the artefact would count as exact; give half of an expanded uncertainty with k = 2"
+        )
+    return sigma
 
 
 def _two(text: str, option: str, example: str) -> tuple[float, float]:

@@ -53,11 +53,13 @@ class SystemTestParameters(Parameters):
 
     artefact: Literal["ball-bar", "plane"] = Field(description="what every state shows")
     length_mm: float = Field(0.0, ge=0.0, description="certified distance of a bar's spheres")
-    length_sigma_mm: float = Field(0.0, ge=0.0, description="its standard uncertainty")
+    length_sigma_mm: float = Field(0.0, ge=0.0, description="its standard uncertainty; 0 is exact")
     radius_mm: float = Field(0.0, ge=0.0, description="certified radius of each sphere")
-    radius_sigma_mm: float = Field(0.0, ge=0.0, description="its standard uncertainty")
+    radius_sigma_mm: float = Field(0.0, ge=0.0, description="its standard uncertainty; 0 is exact")
     form_sigma_mm: float = Field(
-        0.0, ge=0.0, description="standard uncertainty of the artefact's own form: roundness, or flatness"
+        0.0,
+        ge=0.0,
+        description="standard uncertainty of the artefact's own form: roundness, or flatness; 0 is exact",
     )
     largest_left_out: float = Field(
         0.003,
@@ -238,11 +240,12 @@ def _with_form(row: _Row, form: Form, parameters: SystemTestParameters) -> _Row:
 
 
 def _record(rows: list[_Row], parameters: SystemTestParameters) -> SystemTest:
-    certificate = f"form within {parameters.form_sigma_mm:g} mm"
+    form = parameters.form_sigma_mm
+    certificate = f"form within {form:g} mm" if form > 0.0 else "form taken as exact"
     if parameters.artefact == "ball-bar":
         certificate = (
-            f"distance of spheres {parameters.length_mm:g} mm ± {parameters.length_sigma_mm:g} mm, radius "
-            f"{parameters.radius_mm:g} mm ± {parameters.radius_sigma_mm:g} mm, {certificate}"
+            f"distance of spheres {_certified(parameters.length_mm, parameters.length_sigma_mm)}, radius "
+            f"{_certified(parameters.radius_mm, parameters.radius_sigma_mm)}, {certificate}"
         )
     noise, certified = np.array([r.noise for r in rows]), np.array([r.certified for r in rows])
     return SystemTest(
@@ -258,6 +261,10 @@ def _record(rows: list[_Row], parameters: SystemTestParameters) -> SystemTest:
         np.array([r.points for r in rows], np.int64),
         np.array([r.left_out for r in rows], np.int64),
     )
+
+
+def _certified(value_mm: float, sigma_mm: float) -> str:
+    return f"{value_mm:g} mm " + (f"± {sigma_mm:g} mm" if sigma_mm > 0.0 else "taken as exact")
 
 
 def _statistics(test: SystemTest) -> dict[str, float]:

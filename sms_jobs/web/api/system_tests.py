@@ -16,17 +16,17 @@ from sms_jobs.web.routes import Routes, answer
 ROUTES = Routes("calibrations")
 
 _Size = Annotated[float, Field(gt=0, le=1e6, description="In mm.")]
-_Sigma = Annotated[float, Field(ge=0, le=1e6, description="Standard uncertainty in mm.")]
+_Sigma = Annotated[float, Field(ge=0, le=1e6, description="Standard uncertainty in mm; 0 is exact.")]
 
 
 class Bar(RequestBody):
     """Certificate of a ball bar."""
 
     length_mm: _Size
-    length_sigma_mm: _Sigma = 0.0
+    length_sigma_mm: _Sigma
     radius_mm: _Size
-    radius_sigma_mm: _Sigma = 0.0
-    form_sigma_mm: _Sigma = 0.0
+    radius_sigma_mm: _Sigma
+    form_sigma_mm: _Sigma
 
 
 class Plate(RequestBody):
@@ -34,7 +34,7 @@ class Plate(RequestBody):
 
     width_mm: _Size
     height_mm: _Size
-    form_sigma_mm: _Sigma = 0.0
+    form_sigma_mm: _Sigma
 
 
 class NewTest(RequestBody):
