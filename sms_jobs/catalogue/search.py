@@ -16,6 +16,7 @@ from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, StatisticRow
 from sms_jobs.errors import NotFound
 from sms_jobs.records.shown.files import CalibrationView, FileView
+from sms_jobs.records.shown.times import known_time
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED
 
@@ -102,8 +103,13 @@ def files_of_job(session: Session, job_id: str) -> list[FileView]:
 def list_calibrations(
     session: Session, rig: str | None = None, limit: int | None = None
 ) -> list[CalibrationView]:
-    """Return calibrations, the one that became valid last first; at most `limit` if that is given."""
-    query = _calibrations().order_by(CalibrationRow.valid_from.desc(), CalibrationRow.id.desc()).limit(limit)
+    """Return calibrations, the one that became valid last first, unknown times last; at most `limit`."""
+    latest = (
+        CalibrationRow.valid_from == UNTIMED,
+        CalibrationRow.valid_from.desc(),
+        CalibrationRow.id.desc(),
+    )
+    query = _calibrations().order_by(*latest).limit(limit)
     if rig is not None:
         query = query.where(RigRow.name == rig)
     return _calibration_views(session, query)
@@ -162,7 +168,7 @@ def _calibration_views(
         CalibrationView(
             row.id,
             rig,
-            row.valid_from,
+            known_time(row.valid_from),
             row.origin,
             tuple(row.sensors),
             file.path,
@@ -206,6 +212,6 @@ def _view(row: FileRow, campaign: str | None, state: str | None) -> FileView:
         sha256=row.sha256,
         media_type=row.media_type,
         created_at=row.created_at,
-        recorded_at=None if row.recorded_at == UNTIMED else row.recorded_at,
+        recorded_at=known_time(row.recorded_at),
         job_id=row.job_id,
     )

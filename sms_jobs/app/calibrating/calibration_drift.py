@@ -29,7 +29,7 @@ class Moved:
     Attributes
     ----------
     calibration, valid_from
-        The later one.
+        The later one; its time is None where nobody knows it.
     view
         As C1P1.
     rms_mm
@@ -41,7 +41,7 @@ class Moved:
     """
 
     calibration: int
-    valid_from: datetime
+    valid_from: datetime | None
     view: str
     rms_mm: float
     expected_mm: float | None
@@ -55,7 +55,7 @@ class Drift:
     Attributes
     ----------
     first, valid_from
-        That which the others are compared with; None where there is none.
+        That which the others are compared with, None where there is none; its time also where it is unknown.
     moved
         Of each later one and each view, in the order of time; those of other sensors are left out.
     unread
@@ -90,12 +90,13 @@ def drift(services: Services, rig: str) -> Drift:
 
 
 def drift_chart(found: Drift) -> str:
-    """Return a drift as HTML with SVG, two lines for each view; nothing without a later calibration."""
+    """Return a drift as HTML with SVG, two lines for each view; nothing without times to draw it over."""
     if found.first is None or found.valid_from is None or not found.moved:
         return ""
     places = {
         str(one.calibration): (one.valid_from - found.valid_from).total_seconds() / _SECONDS_A_DAY
         for one in found.moved
+        if one.valid_from is not None
     }
     begin = Point(str(found.first), 0.0)
     moved: dict[str, list[Point]] = {}

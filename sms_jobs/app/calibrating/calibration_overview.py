@@ -11,15 +11,16 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Box, Sensor
 from sms_jobs.records.shown.files import DecisionView, FileView
+from sms_jobs.records.shown.times import known_time
 
 
 @dataclass(frozen=True)
 class Overview:
-    """A calibration, how accurate it is (None for one that was imported), and what was decided about it."""
+    """A calibration, its time and accuracy, None where they are unknown, and what was decided about it."""
 
     calibration: int
     rig: str
-    valid_from: datetime
+    valid_from: datetime | None
     origin: str
     path: str
     sensors: tuple[Sensor, ...]
@@ -39,7 +40,7 @@ def overview(services: Services, number: int) -> Overview:
     return Overview(
         number,
         made.rig.name,
-        made.valid_from,
+        known_time(made.valid_from),
         made.origin,
         known.path,
         made.rig.sensors,

@@ -20,6 +20,7 @@ from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.interchange.styles import Style
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import CalibrationView
+from sms_jobs.records.shown.times import known_time
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
@@ -137,6 +138,11 @@ class Certified:
     number: int
     new: bool
     calibration: Calibration
+
+    @property
+    def valid_from(self) -> datetime | None:
+        """From when on it is used; None where nobody knows when its session was."""
+        return known_time(self.calibration.valid_from)
 
 
 @use_case(Right.CERTIFY, confirm=True)

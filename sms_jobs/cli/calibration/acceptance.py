@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -91,11 +92,13 @@ def _tell(done: Decision, campaign: str | None, as_json: bool, *, in_use: bool) 
         output.print_json({"calibration": view.id, "campaign": campaign, "in_use": in_use, "new": done.new})
         return
     whom = f"rig {view.rig}" if campaign is None else f"campaign {campaign} alone"
-    if in_use:
-        said = f"is used for {whom} from {output.shown(view.valid_from)} on"
-    else:
-        said = f"is not used for {whom}"
+    said = f"is used for {whom}{since(view.valid_from)}" if in_use else f"is not used for {whom}"
     output.say(f"calibration {view.id} {said}" + ("" if done.new else ", as before"))
+
+
+def since(valid_from: datetime | None) -> str:
+    """Say from when on a calibration is valid; nothing where nobody knows."""
+    return "" if valid_from is None else f" from {output.shown(valid_from)} on"
 
 
 def in_words(one: DecisionView) -> tuple[str, str]:

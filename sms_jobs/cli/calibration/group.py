@@ -41,6 +41,8 @@ def list_(
 ) -> None:
     """Show calibrations, the one that became valid last first, and what each is used for.
 
+    Where nobody knows from when on one is valid, it is the last.
+
     Example: sms calibration list --rig hall-3; sms calibration list --inactive
     """
     with bootstrap.services(home) as services:
@@ -164,11 +166,10 @@ def certify(
         )
     number, calibration = done.number, done.calibration
     if as_json:
-        output.print_json({"calibration": number, "new": done.new, "valid_from": calibration.valid_from})
+        output.print_json({"calibration": number, "new": done.new, "valid_from": done.valid_from})
         return
-    when = output.shown(calibration.valid_from)
     output.say(
-        f"calibration {number} of rig {calibration.rig.name} is valid from {when} on"
+        f"calibration {number} of rig {calibration.rig.name} is valid{acceptance.since(done.valid_from)}"
         if done.new
         else f"it is in use already, as calibration {number}"
     )

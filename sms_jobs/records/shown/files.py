@@ -131,7 +131,8 @@ class CalibrationView:
 
     id: int
     rig: str
-    valid_from: datetime
+    valid_from: datetime | None
+    """None where nobody knows when its session was."""
     origin: str
     sensors: tuple[str, ...]
     path: str

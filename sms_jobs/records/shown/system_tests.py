@@ -72,7 +72,7 @@ class CalibrationTested:
     """A calibration that errors were measured with."""
 
     number: int
-    valid_from: datetime
+    valid_from: datetime | None
     origin: str
     content_hash: str
 

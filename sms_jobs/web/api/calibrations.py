@@ -61,7 +61,7 @@ def certify(services: Acting, body: Certification) -> Any:
     done = calibrations.certify(
         confirmed(services, body), body.session, body.valid_from, despite_warnings=body.despite_warnings
     )
-    return answer({"calibration": done.number, "new": done.new, "valid_from": done.calibration.valid_from})
+    return answer({"calibration": done.number, "new": done.new, "valid_from": done.valid_from})
 
 
 @ROUTES.offer("POST", "/calibrations/check", calibrations.check)
