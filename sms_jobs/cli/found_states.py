@@ -25,6 +25,7 @@ from sms_jobs.cli.found_files import (
 from sms_jobs.cli.options import Force
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.states import MET_BY, FoundState, StatePage, table_of
+from sms_jobs.records.views import place_of_view
 
 _MARKED = "{} *"
 
@@ -106,7 +107,7 @@ def _shown(
 
     def row(one: FoundState) -> list[str]:
         cells = [output.shown(one.values[name]) for name in whole]
-        views = sorted({*one.views, *(one.met_by or ())})
+        views = sorted({*one.views, *(one.met_by or ())}, key=place_of_view)
         if with_views:
             cells.append("\n".join(_MARKED.format(view) if _marked(one, view) else view for view in views))
         of_views = ((output.shown(one.views.get(view, {}).get(name)) for view in views) for name in by_view)

@@ -32,9 +32,10 @@ from sms_jobs.catalogue.queries.files import restricted
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.queries.states import find_page
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ReadingRow, StatisticRow
+from sms_jobs.cli.found_states import _shown
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.portion import Portion
-from sms_jobs.records.shown.states import FoundState, StatePage
+from sms_jobs.records.shown.states import FoundState, StatePage, table_of
 
 KNOWN = Vocabulary(lambda: (frozenset({*many_files.KINDS, "merge"}), many_files.PARAMETERS))
 NAN = float("nan")
@@ -301,6 +302,40 @@ MISTAKEN = [
     ("time > heavy", "'time' is a time like"),
 ]
 """What cannot be asked, and words of the answer."""
+
+
+def test_views_are_in_the_order_of_their_cameras(filled: Catalogue) -> None:
+    wanted = ("C1", "C1P1", "C2P1", "C10P1")
+    with filled.reading() as session:
+        state = session.scalars(select(LoadStateRow).where(LoadStateRow.label == "later")).one()
+        files = [
+            FileRow(
+                id=910_000 + place,
+                source="strain",
+                path=f"many/{view}",
+                content_hash="",
+                size_bytes=1,
+                media_type=DATASET_MEDIA_TYPE,
+                created_at=NOW,
+                campaign_id=2,
+                state_id=state.id,
+                view=view,
+            )
+            for place, view in enumerate(reversed(wanted))
+        ]
+        session.add_all(files)
+        session.flush()
+        session.add_all(StatisticRow(file_id=one.id, name="valid_fraction", value=0.5) for one in files)
+        session.flush()
+        # Nothing is kept: other tests ask the same catalogue.
+        asked = parse("state = later and strain.valid_fraction < 1")
+        found = one_of(find_page(session, asked, KNOWN, DATASET_MEDIA_TYPE))
+        session.rollback()
+    assert (tuple(found.views), found.met_by) == (wanted, wanted)
+    titles, _ = table_of(["strain.valid_fraction"], ["strain.valid_fraction"], [found])
+    assert titles == [*(f"strain.valid_fraction {view}" for view in wanted), "met_by"]
+    _, (row,) = _shown(["strain.valid_fraction"], ["strain.valid_fraction"], [found])
+    assert tuple(row[0].split("\n")) == wanted
 
 
 def test_what_cannot_be_asked_is_pointed_at(filled: Catalogue) -> None:

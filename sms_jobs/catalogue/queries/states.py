@@ -34,6 +34,7 @@ from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.portion import FIRST, Portion
 from sms_jobs.records.shown.states import FoundState, StatePage, Value
+from sms_jobs.records.views import place_of_view
 
 
 def find_page(
@@ -198,14 +199,16 @@ def _states(
             seen: Select[Any, Any] = select(SEEN.state_id, SEEN.view)
             seen = seen.join(LoadStateRow, LoadStateRow.id == SEEN.state_id)
             seen = seen.where(LoadStateRow.id.in_(some), *conditions.of_views()).distinct()
-            for key, view in session.execute(seen.order_by(SEEN.view)):
+            for key, view in session.execute(seen):
                 met.setdefault(key, []).append(view)
         rows = session.execute(select(LoadStateRow.id, *extra).where(LoadStateRow.id.in_(some)))
         values = {row[0]: dict(zip(whole, row[1:], strict=True)) for row in rows}
         for key in some:
             told_of = {name: _in_unit(whole[name], value) for name, value in values[key].items()}
-            by = tuple(met.get(key, ())) if conditions.about_views else None
-            yield FoundState(key, told_of, dict(sorted(views.get(key, {}).items())), by)
+            by = tuple(sorted(met.get(key, ()), key=place_of_view)) if conditions.about_views else None
+            of_views = views.get(key, {})
+            in_order = {view: of_views[view] for view in sorted(of_views, key=place_of_view)}
+            yield FoundState(key, told_of, in_order, by)
 
 
 def _told(told: ResultStatistic, states: Sequence[int], dataset_type: str) -> Select[Any, Any, float]:

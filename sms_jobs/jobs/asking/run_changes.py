@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from sms_jobs.jobs.asking.runs import Member, Members, ResultInput
+from sms_jobs.jobs.asking.runs import Member, Members, ResultInput, in_order
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.records.shown.runs import RunChange, What
 
@@ -26,7 +26,7 @@ class _Found:
 
 def pairs(before: Members, after: Members) -> list[tuple[Member, Member]]:
     """Return the results of the same kind and subject that both runs have, in order of kind and subject."""
-    both = sorted(before.by_subject.keys() & after.by_subject.keys())
+    both = sorted(before.by_subject.keys() & after.by_subject.keys(), key=in_order)
     return [(before.by_subject[key], after.by_subject[key]) for key in both]
 
 

@@ -21,6 +21,7 @@ from sms_jobs.catalogue.tables.calibrations import CalibrationUseRow
 from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
 from sms_jobs.catalogue.tables.runs import RunJobRow, RunRow, RunSubmissionRow
 from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.formats.importers.folders import natural
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.records.shown.runs import RunResult, RunStory, RunView
 from sms_jobs.records.sizes import number_of
@@ -176,9 +177,14 @@ def story(session: Session, name: str) -> RunStory:
     return RunStory(
         shown,
         found.parameters,
-        tuple(member.result for _, member in sorted(found.by_subject.items())),
-        {f"{kind} {subject}": state.value for (kind, subject), state in sorted(found.missing.items())},
+        tuple(found.by_subject[key].result for key in sorted(found.by_subject, key=in_order)),
+        {" ".join(key): found.missing[key].value for key in sorted(found.missing, key=in_order)},
     )
+
+
+def in_order(about: tuple[str, str]) -> tuple[str, tuple[tuple[int, int, str], ...]]:
+    """Return by what kinds and subjects are put in order: S2 before S10, and C2P1 before C10P1."""
+    return about[0], natural(about[1])
 
 
 def keep(session: Session, name: str, reason: str, now: datetime) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, TypeAlias
 
+from sms_jobs.records.views import place_of_view
+
 Value: TypeAlias = float | str | datetime | None
 
 MET_BY = "met_by"
@@ -59,7 +61,7 @@ def table_of(
     columns: Sequence[str], by_view: Sequence[str], states: Sequence[FoundState]
 ) -> tuple[list[str], Iterator[list[Any]]]:
     """Return columns and rows, one a state; what views tell has a column for each: `valid_fraction C1P1`."""
-    views = sorted({view for one in states for view in one.views})
+    views = sorted({view for one in states for view in one.views}, key=place_of_view)
     met = [MET_BY] if any(one.met_by is not None for one in states) else []
     titles: list[str] = []
     for name in columns:

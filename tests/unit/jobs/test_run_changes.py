@@ -41,6 +41,12 @@ def test_nothing_is_told_where_all_is_the_same() -> None:
     assert len(pairs(same, same)) == 2
 
 
+def test_results_are_in_the_order_in_which_people_count() -> None:
+    subjects = ["plate/S2/C2P1", "plate/S2/C10P1", "plate/S10/C1P1"]
+    same = run(*(member("correlate", subject, "j") for subject in reversed(subjects)))
+    assert [one.result.subject for one, _ in pairs(same, same)] == subjects
+
+
 def test_what_was_asked_for_comes_first_and_the_rest_is_marked() -> None:
     before = run(*(member("correlate", subject, "a") for subject in SUBJECTS))
     wider = {"radius": 14, "new": 1}
