@@ -62,6 +62,9 @@ def bench(
         output.say(f"[{time.monotonic() - started:5.1f} s] {text}")
 
     names = [group.name for group in chosen]
+    for group in chosen:
+        if missing := group.lacks():  # before minutes of compiling
+            say(f"{group.name}: figures will be left out: {missing}")
     say(f"compiling the kernels of {' and '.join(names)}")
     compiled = compile_seconds(names)
     found: dict[str, Figure] = {}

@@ -107,12 +107,16 @@ class Group:
         cache of kernels is the time of compilation.
     measure
         Yields figures, and the conditions under which they hold, as they are measured.
+    lacks
+        Says what is missing here without which figures are left out, before anything is compiled; empty if
+        nothing is.
     """
 
     name: str
     summary: str
     warm_up: Callable[[], None]
     measure: Callable[[Run], Iterator[Found]]
+    lacks: Callable[[], str] = str
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int = REPEATS) -> float:

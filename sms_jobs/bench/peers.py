@@ -55,6 +55,26 @@ def peers_folder() -> Path | None:
     return Path(named) if named and _python(Path(named)).exists() and SCRIPTS.is_dir() else None
 
 
+def missing_peers(**programs: str) -> str:
+    """Say what is missing beside us, in a sentence; empty if nothing is.
+
+    Parameters
+    ----------
+    programs
+        By name, what the Python of their environment runs if they are there.
+    """
+    folder = peers_folder()
+    if folder is None:
+        return NO_PEERS
+    missing = []
+    for name, line in programs.items():
+        command: list[str | Path] = [_python(folder), "-P", "-c", line]
+        done = subprocess.run(command, env=_environment(), capture_output=True, text=True, check=False)
+        if done.returncode:
+            missing.append(f"{name} does not run: {_reason(done.stderr)}")
+    return "; ".join(missing)
+
+
 def run_script(peers: Path, script: str, folder: Path) -> None:
     """Run one of the scripts by the environment of the others, in a folder; `SmsError` if it fails."""
     done = subprocess.run(

@@ -18,7 +18,7 @@ from sms_jobs.bench.correlated.speckle_pairs import speckle_pair
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.fringes.returns import rms, wrapped
 from sms_jobs.bench.groups.phase import REVERSE_EXPONENTIAL, STEPS, fringe_frames, unwrap_frames
-from sms_jobs.bench.peers import NO_PEERS, Ratio, Timed, in_turn, peers_folder, started, timed
+from sms_jobs.bench.peers import NO_PEERS, Ratio, Timed, in_turn, missing_peers, peers_folder, started, timed
 from sms_jobs.bench.roofline import Peak, Work, matching_work
 from sms_jobs.errors import SmsError
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
@@ -372,4 +372,10 @@ def _roofline(run: Run, pair: Pair) -> Iterator[Found]:
     )
 
 
-GROUP = Group("peers", "CPU time of other programs over ours, on the same input in turn", warm_up, measure)
+GROUP = Group(
+    "peers",
+    "CPU time of other programs over ours, on the same input in turn",
+    warm_up,
+    measure,
+    missing_peers,
+)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sms_jobs.bench.compared_fields import reported_over_observed
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run, Sense
-from sms_jobs.bench.peers import NO_PEERS, Ratio, peers_folder
+from sms_jobs.bench.peers import NO_PEERS, Ratio, missing_peers, peers_folder
 from sms_jobs.bench.two_cameras.compared_programs import (
     GT4_SPACING_PX,
     GT4_SUBSET_PX,
@@ -440,4 +440,10 @@ def _judge(specimen: str, lens: str, columns: int, states: tuple[str, ...], run:
     return judged
 
 
-GROUP = Group("stereo", "errors, honesty and speed of what two cameras measure together", warm_up, measure)
+GROUP = Group(
+    "stereo",
+    "errors, honesty and speed of what two cameras measure together",
+    warm_up,
+    measure,
+    missing_peers,
+)

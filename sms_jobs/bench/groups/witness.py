@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
-from sms_jobs.bench.groups.strain import warm_up
-from sms_jobs.bench.peers import NO_PEERS, peers_folder
+from sms_jobs.bench.groups import strain as strain_figures
+from sms_jobs.bench.peers import NO_PEERS, missing_peers, peers_folder
 from sms_jobs.bench.witness.effects import EFFECTS, STATE, halved_hat
 from sms_jobs.bench.witness.fringes import Witnessed, fringes_of_mitsuba
 from sms_jobs.bench.witness.scenes import MeshTruth
@@ -250,6 +250,16 @@ def _told(scene: Scene, ours: Errors, theirs: Errors) -> str:
     )
 
 
+def warm_up() -> None:
+    """Compile what images are measured with, where there are any."""
+    if peers_folder() is not None:
+        strain_figures.warm_up()
+
+
+def _lacks() -> str:
+    return missing_peers(Mitsuba="import mitsuba; mitsuba.set_variant('llvm_ad_rgb')", riley="import riley")
+
+
 GROUP = Group(
-    "witness", "errors on images that other programs render, over those on our own", warm_up, measure
+    "witness", "errors on images that other programs render, over those on our own", warm_up, measure, _lacks
 )

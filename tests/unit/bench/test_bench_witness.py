@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from math import pi
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command import inside
 
 from sms_jobs.bench.figures import Condition, Figure, Run
 from sms_jobs.bench.groups import witness
@@ -168,3 +170,14 @@ def test_without_other_programs_there_are_no_figures_but_reasons(
     for name in ("shape_over_own", "displacement_over_own", "strain_over_own"):
         assert figures[name] == Figure(name, None, "1", 1.2, "at most")
     assert any(PEERS in one.text for one in found if isinstance(one, Condition))
+
+
+def test_what_is_missing_is_said_before_anything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(PEERS, raising=False)
+    said = inside("bench", "witness").stderr
+    assert said.index(f"witness: figures will be left out: {PEERS} names no folder") < said.index("compiling")
+    # An environment that has none of the programs: this one.
+    monkeypatch.setenv(PEERS, sys.prefix)
+    lacking = witness.GROUP.lacks()
+    for program in ("Mitsuba", "riley"):
+        assert f"{program} does not run: ModuleNotFoundError: No module named '{program.lower()}'" in lacking
