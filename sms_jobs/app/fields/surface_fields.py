@@ -22,6 +22,7 @@ from sms_jobs.kinds.products import GAUGES, SURFACE
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.views import place_of_view
 
 if TYPE_CHECKING:
     from sms_jobs.formats.gauge_descriptions import GaugeReading
@@ -124,14 +125,15 @@ def gauges(
 
 
 def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeRow]:
-    """Return the newest readings of every state and view, in order."""
+    """Return the newest readings of every state and view, in the order of the campaign and of the sensors."""
     from sms_jobs.formats.profiles import GaugeRow
 
     with services.catalogue.reading() as session:
         files = search.find_files(session, source="gauges", campaign=campaign, view=view, limit=_MOST_STATES)
-    newest: dict[str, FileView] = {}
+        states = campaigns.definition(campaigns.campaign_row(session, campaign)).states if files else ()
+    newest: dict[Subject, FileView] = {}
     for file in files:
-        newest.setdefault(file.subject, file)
+        newest.setdefault(Subject.parse(file.subject), file)
     if not newest:
         of_view = "" if view is None else f" in view {view}"
         raise NotFound(
@@ -139,9 +141,9 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
             '--gauge "G1 x=0 y=0 length=20"\' reads one in the middle'
         )
     rows = []
-    for subject, file in sorted(newest.items()):
-        about = Subject.parse(subject)
-        with services.archive.open(file) as dataset:
+    order = {state.label: place for place, state in enumerate(states)}
+    for about in sorted(newest, key=lambda one: (order[one.state or ""], place_of_view(one.view or ""))):
+        with services.archive.open(newest[about]) as dataset:
             found = GAUGES.read(dataset)
         common = found.sigma_calibration
         for number, (name, strain, sigma, pixels) in enumerate(

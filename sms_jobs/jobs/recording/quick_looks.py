@@ -34,6 +34,7 @@ from sms_jobs.records.statistic_names import (
     of_gauge,
 )
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.views import place_of_view
 
 KIND = "quick-look"
 
@@ -60,7 +61,7 @@ def looks(session: Session, campaign: str, labels: Collection[str] = ()) -> list
     about = {Subject.parse(job.subject): job for job in jobs}
     order = {state.label: place for place, state in enumerate(defined.states)}
     wanted = [one for one in about if one.state in order and (not labels or one.state in labels)]
-    wanted.sort(key=lambda one: (order[one.state or ""], one.view or ""))
+    wanted.sort(key=lambda one: (order[one.state or ""], place_of_view(one.view or "")))
     statistics = _statistics(session, [about[one].id for one in wanted])
     return [_view(one, about[one], statistics[about[one].id]) for one in wanted]
 
