@@ -37,12 +37,19 @@ def matched(noise: np.ndarray, last: int) -> ImagePoints:
     return ImagePoints(np.array(x), np.array(y), np.ones(len(x), np.int32), np.array(warp), np.array(sigma))
 
 
-def test_the_match_disturbs_strain_beside_an_edge_as_is_computed(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(
+    ("rim", "disc"), [(3, DISC), (1, RADIUS)], ids=["wide rim", "disc as small as a subset"]
+)
+def test_the_match_disturbs_strain_beside_an_edge_as_is_computed(
+    rng: np.random.Generator, rim: int, disc: int
+) -> None:
     """Three columns at a region's edge hold no match: strain across it is 1.7 times as noisy as discs say.
+
+    A disc that is no larger than a subset sees less of errors there than of white noise, which it is told by.
 
     Of 40 trials at six independent places: 7 % of a deviation; 10 % by matches that are 3 px apart, of which
     the propagation knows nothing. Two of these deviations at single places, one and a half of means."""
-    last, outermost = 70, 73  # the last column that is matched, and the last one of the region
+    last, outermost = 70, 70 + rim  # the last column that is matched, and the last one of the region
     labels = np.zeros((ROWS, COLUMNS), np.int32)
     labels[:, : outermost + 1] = 1
     squares = []
@@ -59,10 +66,10 @@ def test_the_match_disturbs_strain_beside_an_edge_as_is_computed(rng: np.random.
             np.zeros_like(covariance),
             averaging_radius_px=0.0,
             subset_radius_px=RADIUS,
-            disc_radius_px=DISC,
+            disc_radius_px=disc,
             match_margin_px=outermost - last,
         )
-        found = surface_strain(flat(), moved, errors, labels, gauge_length=2 * DISC, green_lagrange=False)
+        found = surface_strain(flat(), moved, errors, labels, gauge_length=2 * disc, green_lagrange=False)
         squares.append(found.strain**2 / (found.sigma**2 - found.bias**2))
     ratio = np.sqrt(np.mean(squares, axis=0)[:, 40:-40].mean(axis=1))
     for distance in (0, 3, 6, 9):
@@ -99,3 +106,33 @@ def test_the_average_disturbs_strain_beside_an_edge_as_is_computed(
     beside = [outermost - distance for distance in (1, 2, 3, 4, 5, 6)]
     np.testing.assert_allclose(np.mean(ratio[:, beside], axis=1), 1.0, atol=0.17)
     np.testing.assert_allclose(np.mean(ratio[:, 30:50], axis=1), 1.0, atol=0.17)
+
+
+def stated_in_the_middle_of(size: int, rng: np.random.Generator) -> np.ndarray:
+    """Return what strain of a square of 50 px states whose errors are those of matches, (3, 50, 50)."""
+    side, around = 50, (size - 50) // 2
+    part = (..., np.s_[around : around + side], np.s_[around : around + side])
+    row, column = np.mgrid[0:size, 0:size].astype(np.float64)
+    labels = np.zeros((size, size), np.int32)
+    labels[part] = 1
+    moved, covariance = np.full((3, size, size), np.nan), np.full((6, size, size), np.nan)
+    moved[part] = rng.normal(size=(3, side, side))
+    covariance[part] = 0.0
+    covariance[(np.s_[[0, 3]], *part[1:])] = 1.0
+    errors = shared_errors(
+        covariance,
+        np.zeros_like(covariance),
+        averaging_radius_px=0.0,
+        subset_radius_px=RADIUS,
+        disc_radius_px=DISC,
+        match_margin_px=1.0,
+    )
+    xyz = np.stack([column, -row, np.zeros_like(row)])
+    found = surface_strain(xyz, moved, errors, labels, gauge_length=2 * DISC, green_lagrange=False)
+    return np.asarray(np.sqrt(found.sigma[part] ** 2 - found.bias[part] ** 2))
+
+
+def test_the_border_of_the_image_beyond_a_region_is_no_edge() -> None:
+    """Of the same region in an image with a wider margin, strain states the same: to the rounding of sums."""
+    near, far = (stated_in_the_middle_of(size, np.random.default_rng(7)) for size in (66, 130))
+    np.testing.assert_allclose(near, far, rtol=1e-5)

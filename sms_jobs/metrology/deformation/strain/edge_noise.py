@@ -31,8 +31,8 @@ class Edges:
     Attributes
     ----------
     distance
-        (2, rows, columns), in px from the border of the image and from the edge of a region; 0 at the
-        outermost pixel.
+        (2, rows, columns), in px from the border of the image, where a region reaches it, and from the edge
+        of a region; 0 at the outermost pixel.
     along
         (2, rows, columns), squared cosine of the angle between edge and axis in the surface; 0.5 where it is
         not known.
@@ -50,10 +50,11 @@ class Edges:
 def edges_of(labels: Labels, cells: Cells, x_axis: Floats, shared: SharedErrors) -> Edges:
     """Return the edges of regions (rows, columns), 0 for none, and how they lie to an axis (3,).
 
-    Gaps that are smaller than a subset's radius are none. Directions are told as far as edges matter.
+    Gaps that are smaller than a subset's radius are none, and a border beyond a wider one does nothing to
+    what is matched. Directions are told as far as edges matter.
     """
-    smallest = max(int(shared.subset_radius_px), 1)
-    distance = np.stack([_from_border(*labels.shape), _from_regions(labels, smallest)])
+    gaps = wide_gaps(labels, max(int(shared.subset_radius_px), 1))
+    distance = np.stack([_from_border(gaps), _from_regions(gaps | beside_another_label(labels))])
     reach = shared.disc_radius_px + 4.0 * max(shared.averaging_radius_px, shared.subset_radius_px)
     along = np.full(distance.shape, 0.5)
     for sort in (0, 1):
@@ -64,18 +65,23 @@ def edges_of(labels: Labels, cells: Cells, x_axis: Floats, shared: SharedErrors)
     return Edges(distance, along)
 
 
-def _from_border(rows: int, columns: int) -> Floats:
-    """Return the distance from the border of the image, (rows, columns) in px."""
-    down, right = (np.minimum(np.arange(n), np.arange(n)[::-1]).astype(np.float64) for n in (rows, columns))
-    return np.minimum(down[:, None], right)
+def _from_border(gaps: Mask) -> Floats:
+    """Return the distance from the border of the image but for what of it lies in gaps, in px."""
+    inner = np.zeros_like(gaps)
+    inner[1:-1, 1:-1] = True
+    return _from(~(inner | gaps))
 
 
-def _from_regions(labels: Labels, smallest: int) -> Floats:
-    """Return the distance from the edges of regions, (rows, columns) in px; infinite where there is none."""
-    outside = wide_gaps(labels, smallest) | beside_another_label(labels)
-    if not outside.any():
-        return np.full(labels.shape, np.inf)
-    return np.maximum(distance_inside(~outside).astype(np.float64) - 1.0, 0.0)
+def _from_regions(outside: Mask) -> Floats:
+    """Return the distance from the outermost pixels of regions, in px; 0 outside."""
+    return np.maximum(_from(outside) - 1.0, 0.0)
+
+
+def _from(mask: Mask) -> Floats:
+    """Return the distance from a mask's nearest pixel, in px; infinite where there is none."""
+    if not mask.any():
+        return np.full(mask.shape, np.inf)
+    return distance_inside(~mask).astype(np.float64)
 
 
 def _rising(distance: Floats, where: Mask) -> tuple[Floats, Floats]:
@@ -129,6 +135,7 @@ def _noise_rows(
             most_xx = own[0, r, c] + match[0, r, c]
             most_yy = own[1, r, c] + match[1, r, c]
             most_xy = own[2, r, c] + match[2, r, c]
+            beside_edge = False
             for sort in range(2):
                 at = distance[sort, r, c] * per_px
                 if not at < last:
@@ -148,9 +155,11 @@ def _noise_rows(
                     yy *= beside + square * (across - beside)
                     sum_xx += xx
                     sum_yy += yy
-                    if both > 0.0:
+                    if both != 0.0:
                         sum_xy += xy * (xx + yy) / both
-                most_xx, most_yy, most_xy = max(most_xx, sum_xx), max(most_yy, sum_yy), max(most_xy, sum_xy)
+                if beside_edge:
+                    sum_xx, sum_yy, sum_xy = max(most_xx, sum_xx), max(most_yy, sum_yy), max(most_xy, sum_xy)
+                most_xx, most_yy, most_xy, beside_edge = sum_xx, sum_yy, sum_xy, True
             total[0, r, c], total[1, r, c], total[2, r, c] = most_xx, most_yy, most_xy
 
 
