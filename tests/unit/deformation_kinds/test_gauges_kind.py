@@ -13,6 +13,7 @@ from support.homes import initialised
 from sms_jobs.app.fields import surface_fields
 from sms_jobs.app.fields.surface_fields import Gauges
 from sms_jobs.cli import surface_places
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.profiles import GaugeRow, draw_gauges
 from sms_jobs.kinds.deformation import gauges
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
@@ -52,6 +53,23 @@ def test_a_gauge_that_reads_nothing_is_named(plate: Any) -> None:
     said: list[str] = []
     list(gauges.KIND.run(inputs, chosen, lambda fraction, words: said.append(words)))
     assert said[-1] == "nothing to read under away: off the specimen, or too few valid points"
+
+
+def test_what_a_camera_alone_reads_in_pixels_is_no_gauge_of_a_surface(plate: Any) -> None:
+    subject, alone = plate.subject("S01", "C1P1"), "C2 x=90px y=90px length=20px"
+    both = plate.run(gauges.KIND, subject, GaugesParameters(gauge=(alone, ALONG))).records["gauges"]
+    assert both.names == ("along",)
+    with pytest.raises(InvalidInput, match="gauge 'C2' is in pixels"):
+        plate.run(gauges.KIND, subject, GaugesParameters(gauge=(alone,)))
+
+
+@pytest.mark.parametrize("length", ["400", "1e5", "1e300"])
+def test_a_gauge_longer_than_the_surface_is_refused_whatever_it_would_take(plate: Any, length: str) -> None:
+    chosen = GaugesParameters(gauge=(ALONG, f"long x=0 y=0 length={length} width=5"))
+    with pytest.raises(
+        InvalidInput, match=r"gauge long is .* mm long and 5 mm wide, and the surface of C1P1"
+    ):
+        plate.run(gauges.KIND, plate.subject("S01", "C1P1"), chosen)
 
 
 def test_the_command_says_which_gauges_read_nothing_and_where(
