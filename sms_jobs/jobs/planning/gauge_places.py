@@ -25,14 +25,17 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-_READS, _LOOK = "gauges", "quick-look"
+_READS, _LOOK, _STRAIN = "gauges", "quick-look", "strain"
+_IN_PIXELS = "gauge_length_px"
 
 
 def check_gauges(session: Session, archive: Archive, campaign: str, jobs: Sequence[PlannedJob]) -> None:
     """Refuse jobs one of whose gauges no view can read, by the images and surfaces that are there.
 
-    Of quick looks, which show more than gauges, those of which no gauge can be read. Raises `InvalidInput`.
+    Of quick looks, which show more than gauges, those of which no gauge can be read; of strain, a gauge
+    length in pixels that no view takes. Raises `InvalidInput`.
     """
+    _refuse_pixels(session, campaign, jobs)
     reading = {job.subject.view or "": job for job in jobs if job.kind.name == _READS}
     looking = {job.subject.view or "": job for job in jobs if job.kind.name == _LOOK and _at_rest(job)}
     if not reading and not looking:
@@ -52,12 +55,27 @@ def check_gauges(session: Session, archive: Archive, campaign: str, jobs: Sequen
             raise InvalidInput(f"{next(iter(lost.values()))}; or set `alone` to look at the shape alone")
 
 
+def _refuse_pixels(session: Session, campaign: str, jobs: Sequence[PlannedJob]) -> None:
+    """Refuse a gauge length of strain in pixels where all views measure surfaces, which take theirs in mm."""
+    strain = next((job for job in jobs if job.kind.name == _STRAIN), None)
+    given = {} if strain is None else strain.parameters.model_dump()
+    if given.get(_IN_PIXELS) is None or given["gauge_length_mm"] is not None:
+        return
+    views = definition(campaign_row(session, campaign)).views
+    if all(view_of(view).measures_shape for view in views):
+        raise InvalidInput(
+            f"{_IN_PIXELS} is {given[_IN_PIXELS]:g}, which cameras alone take, and {campaign} has none "
+            f"beside {', '.join(views)}: give gauge_length_mm"
+        )
+
+
 def check_requests(session: Session, archive: Archive, campaign: str, requests: Sequence[Request]) -> None:
     """Refuse requests as `check_gauges` refuses the jobs that they would come to now; `InvalidInput`.
 
     Nothing else has to be there yet.
     """
-    if not any(request.kind in (_READS, _LOOK) for request in requests):
+    given = {name.rpartition(".")[2] for request in requests for name in request.parameters}
+    if not any(request.kind in (_READS, _LOOK) for request in requests) and _IN_PIXELS not in given:
         return
 
     def find(need: Need) -> Existing:
