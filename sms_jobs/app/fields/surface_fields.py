@@ -124,10 +124,11 @@ def gauges(
 
 
 def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeRow]:
-    """Return the newest readings of every state and view, in order."""
+    """Return the newest readings of every state and view, in the order of the test."""
     from sms_jobs.formats.profiles import GaugeRow
 
     with services.catalogue.reading() as session:
+        states = campaigns.definition(campaigns.campaign_row(session, campaign)).states
         files = search.find_files(session, source="gauges", campaign=campaign, view=view, limit=_MOST_STATES)
     newest: dict[str, FileView] = {}
     for file in files:
@@ -139,8 +140,10 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
             '--gauge "G1 x=0 y=0 length=20"\' reads one in the middle'
         )
     rows = []
-    for subject, file in sorted(newest.items()):
-        about = Subject.parse(subject)
+    order = {state.label: place for place, state in enumerate(states)}
+    about_files = [(Subject.parse(subject), file) for subject, file in newest.items()]
+    about_files.sort(key=lambda one: (order.get(one[0].state or "", -1), one[0].view or ""))
+    for about, file in about_files:
         with services.archive.open(file) as dataset:
             found = GAUGES.read(dataset)
         common = found.sigma_calibration

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,21 @@ import numpy as np
 import pytest
 from support.homes import initialised
 
+from sms_jobs import bootstrap
 from sms_jobs.app.fields import surface_fields
 from sms_jobs.app.fields.surface_fields import Gauges
 from sms_jobs.cli import surface_places
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.profiles import GaugeRow, draw_gauges
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.archiving.repository import Repository, brought_in
 from sms_jobs.kinds.deformation import gauges
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.kind import Inputs
+from sms_jobs.kinds.products import GAUGES
+from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.subject import Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 ALONG, ACROSS, AWAY = (
     "along x=5 y=-10 length=40 width=30",
@@ -87,6 +95,33 @@ def test_the_command_says_which_gauges_read_nothing_and_where(
         f"gauge away reads nothing in C1P1 at S01 and 2 more: {why}",
         f"gauge away reads nothing in C2P1 at S01: {why}",
     ]
+
+
+def test_readings_are_in_the_order_of_the_test(home: Path) -> None:
+    initialised(home)
+    calibration, plate = small_plate("plate")
+    rest, moved = plate.states
+    states = (rest, *(replace(moved, label=label) for label in ("S9", "S10", "after")))
+    now = datetime.now(UTC)
+    with bootstrap.services(home) as services:
+        ordered = replace(plate, states=states)
+        register_campaign(services.catalogue, services.archive, ordered, calibration, now)
+        one = GaugeReadings(
+            "green-lagrange",
+            ("G1",),
+            np.zeros(1),
+            np.zeros(1, np.float32),
+            np.zeros((1, 3)),
+            np.full(1, 40, np.int32),
+        )
+        with Repository(services.catalogue, services.archive).batch() as batch:
+            for label in ("after", "S10", "S9"):
+                batch.seal(
+                    {GAUGES.stored_as: one}, brought_in("gauges", Subject("plate", label, "C1P1"), now)
+                )
+            batch.enter()
+        found = surface_fields.gauges(services, "plate")
+    assert [row.state for row in found.rows] == ["S9", "S10", "after"]
 
 
 def test_gauges_are_drawn() -> None:
