@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import inf, isfinite, radians
 from pathlib import Path
 
 from sms_jobs.errors import InvalidInput
@@ -82,7 +82,8 @@ class GaugeReading:
 def read_gauge_file(path: Path) -> tuple[GaugeReading, ...]:
     """Read a CSV file with the columns state, gauge and microstrain, in any order.
 
-    Raises `InvalidInput` with the line for a missing column or a reading that is no number.
+    Raises `InvalidInput` with the line for a missing column, a reading that is no number, and a second one of
+    a gauge at a state.
     """
     header, rows = csv_rows(read_text(path, "gauge file").splitlines(), str(path), skip_spaces=True)
     required = ("state", "gauge", "microstrain")
@@ -91,13 +92,22 @@ def read_gauge_file(path: Path) -> tuple[GaugeReading, ...]:
         raise InvalidInput(
             f"gauge file {path} has no column {missing[0]}; its first line must name {', '.join(required)}"
         )
-    found = []
+    found: dict[tuple[str, str], GaugeReading] = {}
     for number, row in enumerate(rows, start=2):
+        state, gauge = row["state"], row["gauge"]
+        if (state, gauge) in found:
+            raise InvalidInput(
+                f"line {number} of gauge file {path} is the second of gauge {gauge} at state {state}: "
+                "keep one"
+            )
         try:
-            found.append(GaugeReading(row["state"], row["gauge"], 1e-6 * float(row["microstrain"] or "")))
-        except (ValueError, TypeError) as error:
+            strain = 1e-6 * float(row["microstrain"] or "")
+        except (ValueError, TypeError):
+            strain = inf
+        if not isfinite(strain):
             raise InvalidInput(
                 f"line {number} of gauge file {path} has the reading '{row['microstrain']}', which is not a "
                 "number of microstrain"
-            ) from error
-    return tuple(found)
+            )
+        found[state, gauge] = GaugeReading(state, gauge, strain)
+    return tuple(found.values())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.command import answer, service
+from support.command import answer, inside, service
 
 import sms_jobs
 from sms_jobs import bootstrap
@@ -85,3 +85,18 @@ def test_views_with_a_projector_and_without_merge(home: Path) -> None:
     (report,) = answer("data", "find", "-c", "mixed", "--kind", "report", "--home", str(home))
     page = (home / "archive" / report["path"]).read_text()
     assert all(view in page for view in CAMPAIGN.views)
+
+
+def test_gauges_off_the_surfaces_of_all_views_are_refused_and_no_others(home: Path) -> None:
+    def submit(gauge: str) -> str:
+        words = ("job", "submit", "gauges", "-c", "mixed", "--set", f"gauge={gauge}", "--dry-run")
+        return inside(*words, "--home", str(home)).stderr
+
+    kinds = ("simulate", "reconstruct", "stereo", "correlate")
+    with service(home):
+        answer("job", "submit", *kinds, "-c", "mixed", "--wait", "--home", str(home))
+    far = submit("G x=0 y=0 length=20; far x=120 y=-10 length=20")
+    assert "gauge far lies off the surface of C1P1: from its middle at x=120 y=-10 mm" in far
+    assert "gauge G is in pixels, which only cameras alone read" in submit("G x=9px y=9px length=20px")
+    assert "gauge G is 900 mm long and 450 mm wide" in submit("G x=0 y=0 length=900")
+    assert "error" not in submit("G x=0 y=0 length=20")

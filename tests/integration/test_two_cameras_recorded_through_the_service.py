@@ -32,7 +32,7 @@ UNPLUGGED = RIG.replace("faults = []", 'faults = [{ fault = "unplugged", state =
 FLASH = RIG.replace("faults = []", 'faults = [{ fault = "flash", state = "S02", frame = 1 }]')
 CALIBRATION, CAMPAIGN = stereo_campaign("pair", rig=stereo_rig(COLUMNS, ROWS))
 BOTH = ("C1", "C2")
-GAUGES = {"gauges": {"gauge": "g1 x=0 y=0 length=10"}}
+GAUGES = {"gauges": {"gauge": "g1 x=0 y=0 length=10; far x=500 y=0 length=10"}}
 
 
 @pytest.fixture
@@ -85,19 +85,32 @@ def test_a_campaign_of_two_cameras_is_recorded_and_its_shape_computed(home: Path
         assert 0.2 < again["packed"] < 2.0
         assert again["archived_bytes"] == round(2 * raw * again["packed"])
         run(home, "job", "wait", "-c", "pair")
+        before = run(home, "job", "list", "-c", "pair")
+        # What no view can read is refused while it is asked for, as soon as the surface is there.
+        for words in (
+            ("acquire", "plan", "pair", "--next", "--stop-if", "far.z_mm < 100mm"),
+            ("schedule", "add", "nightly", "gauges", "-c", "pair", "--every", "1h"),
+        ):
+            refused = inside(*words, "--home", str(home))
+            assert refused.returncode == 2
+            assert "gauge far lies off the surface of C1C2: from its middle at x=500 y=0 mm" in refused.stderr
+        assert (run(home, "schedule", "list"), run(home, "acquire", "plan", "show", "pair")) == ([], [])
+        assert run(home, "job", "list", "-c", "pair") == before
         # Held after S01, whose gauge has moved, and before S02.
         run(home, "acquire", "plan", "pair", "--next", "--stop-if", "g1.z_mm < 100mm")
         wait_until(
             lambda: any(one["stopped_by"] for one in run(home, "acquire", "plan", "show", "pair")), 60.0
         )
         looks = run(home, "acquire", "plan", "looks", "pair")
+        # A quick look shows more than gauges, and one of these can be read.
+        run(home, "job", "submit", "quick-look", "-c", "pair", "--state", "S01", "--dry-run")
     files = found(home)
     assert set(files) == {f"pair/{state}/{camera}" for state in ("S00", "S01") for camera in BOTH}
     at_rest, look = looks
     assert [(one["state"], one["view"], one["doubts"]) for one in looks] == [
         (s, "C1C2", "") for s in ("S00", "S01")
     ]
-    assert (at_rest["gauges"], look["gauges_lost"]) == ([], 0)
+    assert (at_rest["gauges"], look["gauges_lost"]) == ([], 1)
     # Of what shows texture, but for a rim of some px; on half of the image there is none.
     assert all(one["valid_fraction"] > 0.8 for one in looks)
     (gauge,) = look["gauges"]

@@ -125,12 +125,12 @@ def gauges(
 
 
 def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeRow]:
-    """Return the newest readings of every state and view, in the order of the campaign and of the sensors."""
+    """Return the newest readings of every state and view, in the order of the test and of the sensors."""
     from sms_jobs.formats.profiles import GaugeRow
 
     with services.catalogue.reading() as session:
+        states = campaigns.definition(campaigns.campaign_row(session, campaign)).states
         files = search.find_files(session, source="gauges", campaign=campaign, view=view, limit=_MOST_STATES)
-        states = campaigns.definition(campaigns.campaign_row(session, campaign)).states if files else ()
     newest: dict[Subject, FileView] = {}
     for file in files:
         newest.setdefault(Subject.parse(file.subject), file)
@@ -142,7 +142,8 @@ def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeR
         )
     rows = []
     order = {state.label: place for place, state in enumerate(states)}
-    for about in sorted(newest, key=lambda one: (order[one.state or ""], place_of_view(one.view or ""))):
+    by_sensors = sorted(newest, key=lambda one: place_of_view(one.view or ""))
+    for about in sorted(by_sensors, key=lambda one: order.get(one.state or "", len(order))):
         with services.archive.open(newest[about]) as dataset:
             found = GAUGES.read(dataset)
         common = found.sigma_calibration

@@ -130,8 +130,8 @@ def plan(
     InvalidInput
         The campaign is a calibration session, before whose poses somebody has to be there; the test plan does
         not say what the channel reads at a state; what is waited for does not fit channel or states; or there
-        are cameras alone to look at, and nobody knows the size of a pixel; or the rig lacks what the states
-        are recorded with.
+        are cameras alone to look at, and nobody knows the size of a pixel; or no view can read a gauge that
+        has a limit; or the rig lacks what the states are recorded with.
     """
     # Which loads the kinds; nothing else here needs them.
     from sms_jobs.jobs.recording import due_recordings
@@ -145,7 +145,7 @@ def plan(
     views = [view for state in left for view in defined.recordings_at(state.label)]
     refuse_lacking(lacking(services.stations, defined, views or defined.recordings))
     if look.enabled:
-        _require_looked_at(defined, look.stop_if)
+        _require_looked_at(services, defined, look.stop_if)
     if isinstance(when, AtLevels):
         levels = _levels(services, defined.rig, when, states)
         with services.catalogue.writing() as session:
@@ -158,10 +158,15 @@ def plan(
         return shown_plans.list_planned(session, now, campaign)
 
 
-def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
-    """Raise `InvalidInput` without a view to look at, and `NotFound` for a gauge that is not described."""
+def _require_looked_at(services: Services, campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> None:
+    """Refuse what a quick look cannot tell, which would stop the plan at the first load.
+
+    Raises `InvalidInput` without a view to look at, or with a limit on a gauge that none can read, and
+    `NotFound` for a gauge that is not described.
+    """
     # Which loads the kinds, as the states have so far.
     from sms_jobs.formats.gauge_descriptions import described_gauge
+    from sms_jobs.jobs.planning.gauge_places import check_looked_at
     from sms_jobs.kinds.deformation.quick_look import declared_gauges, subjects_looked_at
 
     views = {one.view or "": None for one in subjects_looked_at(campaign)}
@@ -182,6 +187,10 @@ def _require_looked_at(campaign: Campaign, stop_if: Sequence[GaugeLimit]) -> Non
                 f"{campaign.name} has no gauge '{limit.gauge}'{in_mm}; it has {', '.join(known) or 'none'}: "
                 "describe it under [processing.gauges] of the test plan"
             )
+    if stop_if:
+        with services.catalogue.reading() as session:
+            limited = [limit.gauge for limit in stop_if]
+            check_looked_at(session, services.archive, campaign, list(views), limited)
 
 
 def _levels(services: Services, rig: str, when: AtLevels, states: Sequence[str]) -> Levels:

@@ -147,8 +147,8 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     NotFound
         There is no such campaign or kind, or every state lacks something.
     InvalidInput
-        A parameter, state or view is not one of them, a gauge lies outside of the images that it is read
-        from, or the run cannot have that name.
+        A parameter, state or view is not one of them, a gauge lies outside of the images or off the surfaces
+        that it is read from, or the run cannot have that name.
     Conflict
         The run is kept as it is.
     """
@@ -159,7 +159,7 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     def attempt() -> tuple[Submission, Estimate, tuple[Refused, ...]]:
         with services.catalogue.reading() as session:
             planned = draft(session, work.campaign, requests, now, terms)
-            check_gauges(session, services.archive, planned)
+            check_gauges(session, services.archive, work.campaign, planned.jobs)
             ahead = estimate_planned(session, planned, now, services.settings.workers)
         if dry_run:
             return planned.submission, ahead, planned.refused

@@ -12,6 +12,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
+from sms_jobs.jobs.planning.gauge_places import check_requests
 from sms_jobs.jobs.scheduling import schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression, zone_named
 from sms_jobs.jobs.scheduling.schedules import MissedFire, Order, ScheduleView
@@ -54,7 +55,7 @@ def add(
     Raises
     ------
     InvalidInput
-        The time or the work cannot be understood.
+        The time or the work cannot be understood, or no view of the campaign can read a gauge.
     NotFound
         There is no such campaign or kind.
     Conflict
@@ -66,6 +67,9 @@ def add(
     requests = tuple(work.requests)
     order = Order(work.campaign, requests, work.priority, work.use_cache, work.run, where)
     now = datetime.now(UTC)
+    if where is None:
+        with services.catalogue.reading() as session:
+            check_requests(session, services.archive, work.campaign, requests)
     schedules.add(services.catalogue, name, expression, order, now, missed_fire=missed, grace=grace)
     with services.catalogue.reading() as session:
         return schedules.first_fire(session, name, now)

@@ -1,67 +1,164 @@
-"""Whether the gauges of planned jobs lie in the images that they are read from, before any is queued."""
+"""Whether the gauges of planned jobs lie in the images and on the surfaces that they are read from."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import Archive
+from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.catalogue import search
-from sms_jobs.errors import SmsError
-from sms_jobs.jobs.planning.graph import PlannedInput, PlannedJob
-from sms_jobs.jobs.planning.submission import Draft
+from sms_jobs.catalogue.campaigns import campaign_row, definition
+from sms_jobs.catalogue.subject_files import newest_file
+from sms_jobs.errors import InvalidInput, SmsError
+from sms_jobs.jobs.planning.graph import Existing, PlannedJob, Request, plan
+from sms_jobs.kinds.kind import MEASUREMENT, Need
 from sms_jobs.kinds.port_names import AT_REST
+from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 if TYPE_CHECKING:
-    from sms_jobs.kinds.gauges_in_images import ImageAlone
+    from sms_jobs.kinds.gauges_in_images import Sight
     from sms_jobs.kinds.products import Product
+    from sms_jobs.records.campaign import Campaign
 
 R = TypeVar("R")
 
-
-def check_gauges(session: Session, archive: Archive, planned: Draft) -> None:
-    """Refuse a plan one of whose gauges no view can read, by the images that are there; `InvalidInput`."""
-    by_view = {job.subject.view or "": job for job in planned.jobs if job.kind.name == "gauges"}
-    if by_view:
-        # It needs what computes, which few plans do.
-        from sms_jobs.kinds import gauges_in_images
-
-        images = {view: _image(session, archive, planned, job) for view, job in by_view.items()}
-        for job in by_view.values():
-            gauges_in_images.check_gauges(job.parameters.model_dump()["gauge"], images)
+_READS, _LOOK, _STRAIN = "gauges", "quick-look", "strain"
+_IN_PIXELS = "gauge_length_px"
 
 
-def _image(session: Session, archive: Archive, planned: Draft, job: PlannedJob) -> ImageAlone | None:
-    """Return the image that gauges of a view are placed in; None on a surface, or where nobody knows it."""
-    from sms_jobs.kinds.gauges_in_images import ImageAlone
+def check_gauges(session: Session, archive: Archive, campaign: str, jobs: Sequence[PlannedJob]) -> None:
+    """Refuse jobs one of whose gauges no view can read, by the images and surfaces that are there.
+
+    Of quick looks, which show more than gauges, those of which no gauge can be read; of strain, a gauge
+    length in pixels that no view takes. Raises `InvalidInput`.
+    """
+    _refuse_pixels(session, campaign, jobs)
+    reading = {job.subject.view or "": job for job in jobs if job.kind.name == _READS}
+    looking = {job.subject.view or "": job for job in jobs if job.kind.name == _LOOK and _at_rest(job)}
+    if not reading and not looking:
+        return
+    # It needs what computes, which few plans do.
+    from sms_jobs.kinds import gauges_in_images
+
+    defined = definition(campaign_row(session, campaign))
+    if reading:
+        sights = {view: _of_job(session, archive, defined, jobs, job) for view, job in reading.items()}
+        for job in reading.values():
+            gauges_in_images.check_gauges(job.parameters.model_dump()["gauge"], sights, defined.views)
+    if looking:
+        sights = {view: _of_job(session, archive, defined, jobs, job) for view, job in looking.items()}
+        lost = gauges_in_images.declared_unread(defined, sights)
+        if lost and all(lost.values()):
+            raise InvalidInput(f"{next(iter(lost.values()))}; or set `alone` to look at the shape alone")
+
+
+def _refuse_pixels(session: Session, campaign: str, jobs: Sequence[PlannedJob]) -> None:
+    """Refuse a gauge length of strain in pixels where all views measure surfaces, which take theirs in mm."""
+    strain = next((job for job in jobs if job.kind.name == _STRAIN), None)
+    given = {} if strain is None else strain.parameters.model_dump()
+    if given.get(_IN_PIXELS) is None or given["gauge_length_mm"] is not None:
+        return
+    views = definition(campaign_row(session, campaign)).views
+    if all(view_of(view).measures_shape for view in views):
+        raise InvalidInput(
+            f"{_IN_PIXELS} is {given[_IN_PIXELS]:g}, which cameras alone take, and {campaign} has none "
+            f"beside {', '.join(views)}: give gauge_length_mm"
+        )
+
+
+def check_requests(session: Session, archive: Archive, campaign: str, requests: Sequence[Request]) -> None:
+    """Refuse requests as `check_gauges` refuses the jobs that they would come to now; `InvalidInput`.
+
+    Nothing else has to be there yet.
+    """
+    given = {name.rpartition(".")[2] for request in requests for name in request.parameters}
+    if not any(request.kind in (_READS, _LOOK) for request in requests) and _IN_PIXELS not in given:
+        return
+
+    def find(need: Need) -> Existing:
+        return Existing(newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE) or 0)
+
+    defined = definition(campaign_row(session, campaign))
+    check_gauges(session, archive, campaign, plan(defined, requests, find))
+
+
+def check_looked_at(
+    session: Session, archive: Archive, campaign: Campaign, views: Sequence[str], gauges: Sequence[str]
+) -> None:
+    """Refuse gauges by name that no quick look at some views can read; `InvalidInput`."""
+    from sms_jobs.kinds import gauges_in_images
+    from sms_jobs.kinds.shape.sparse_plane import scale_of
+    from sms_jobs.kinds.surface_ports import surface_port
+
+    sights: dict[str, Sight] = {}
+    for view in views:
+        at_rest = Subject(campaign.name, campaign.reference.label, view)
+        for source in (_LOOK, surface_port(AT_REST).of(campaign, at_rest).source):
+            seen = _sight(session, archive, campaign, source, at_rest, scale_of(campaign))
+            sights[view] = sights.get(view) or seen
+    lost = gauges_in_images.declared_unread(campaign, sights)
+    for name in gauges:
+        if why := lost.get(name):
+            raise InvalidInput(why)
+
+
+def _at_rest(job: PlannedJob) -> bool:
+    return any(given.need.port.name == AT_REST for given in job.inputs)
+
+
+def _of_job(
+    session: Session, archive: Archive, campaign: Campaign, jobs: Sequence[PlannedJob], job: PlannedJob
+) -> Sight:
+    """Return where gauges of a job can be; None where nobody knows."""
+    from sms_jobs.kinds.shape.sparse_plane import scale_of
+
+    (given,) = (given for given in job.inputs if given.need.port.name == AT_REST)
+    maker = None if given.producer is None else jobs[given.producer]
+    comes = maker is not None or given.existing is None or given.existing.job_id is not None
+    source = "" if comes else given.need.source
+    scale = scale_of(campaign) if maker is None else maker.parameters.model_dump().get("mm_per_px")
+    return _sight(session, archive, campaign, source, given.need.subject, scale)
+
+
+def _sight(
+    session: Session,
+    archive: Archive,
+    campaign: Campaign,
+    source: str,
+    at_rest: Subject,
+    mm_per_px: float | None,
+) -> Sight:
+    """Return where gauges of a view can be, by its surface of a kind, or by the image of a camera alone.
+
+    `source` is empty where the surface has yet to be made.
+    """
+    from sms_jobs.kinds.gauges_in_images import ImageAlone, surface_there
     from sms_jobs.kinds.products import MEASURED, SURFACE
 
-    view = job.subject.view or ""
+    view = at_rest.view or ""
+    surface = _read(session, archive, source, at_rest, SURFACE) if source else None
     if view_of(view).measures_shape:
-        return None
-    (shape,) = (given for given in job.inputs if given.need.port.name == AT_REST)
-    if shape.producer is None:
-        surface = _read(session, archive, shape, SURFACE)
-        if surface is None:
-            return None
+        return None if surface is None else surface_there(campaign, surface, sparse=source == _LOOK)
+    if surface is not None and source != _LOOK:
         rows, columns = surface.reason.shape
         return ImageAlone(view, columns, rows, surface.mm_per_px)
-    maker = planned.jobs[shape.producer]
-    measured = _read(session, archive, maker.inputs[0], MEASURED)
+    measured = _read(session, archive, MEASUREMENT, at_rest, MEASURED)
     if measured is None:
         return None
     rows, columns = measured.texture.shape
-    return ImageAlone(view, columns, rows, maker.parameters.model_dump()["mm_per_px"])
+    return ImageAlone(view, columns, rows, mm_per_px)
 
 
-def _read(session: Session, archive: Archive, given: PlannedInput, product: Product[R]) -> R | None:
-    """Read a record of an input; None where a job has yet to make it, or it cannot be read now."""
-    if given.existing is None or given.existing.file_id is None:
+def _read(session: Session, archive: Archive, source: str, subject: Subject, product: Product[R]) -> R | None:
+    """Read a record of the newest file of a subject; None where there is none, or it cannot be read now."""
+    file_id = newest_file(session, source, subject, DATASET_MEDIA_TYPE)
+    if file_id is None:
         return None
     try:
-        with archive.open(search.file_view(session, str(given.existing.file_id))) as dataset:
+        with archive.open(search.file_view(session, str(file_id))) as dataset:
             return product.read(dataset)
     except SmsError:
         # Jobs can be queued while the archive is away; the job itself tells what is wrong with its input.

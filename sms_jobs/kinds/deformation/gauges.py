@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -93,8 +94,17 @@ def frame_of_gauges(campaign: Campaign, subject: Subject) -> Pose:
     return campaign.placement if view_of(subject.view).measures_shape else AT_ORIGIN
 
 
+def read_by(view: str, gauges: tuple[str, ...]) -> tuple[str, ...]:
+    """Return those of described gauges that a view can read: a surface has no pixels."""
+    surface = view_of(view).measures_shape
+    return tuple(text for text in gauges if not surface or described_gauge(text).unit == "mm")
+
+
 def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Iterator[Output]:
     """Fit the stored displacement under each gauge; nothing is correlated again."""
+    # Where there are none, the place of the first says what is wrong with it.
+    own = read_by(inputs.subject.view or "", parameters.gauge) or parameters.gauge
+    parameters = parameters.model_copy(update={"gauge": own})
     moved = inputs.read(_MOVED, DISPLACEMENT)
     regions = inputs.read(_MOVED, REGIONS)
     surface = inputs.read(_REFERENCE.port, SURFACE)
@@ -124,9 +134,12 @@ def read_gauges(
     """Return what gauges read; `frame` brings theirs into that of the surface.
 
     `states` is how well the view is known at the reference state and at this one, None where nobody says.
-    Raises `InvalidInput` where a place says nothing on the surface.
+    Raises `InvalidInput` where a place says nothing on the surface, or a gauge is longer than it.
     """
     places = [place_on(surface, text) for text in parameters.gauge]
+    what, most = f"the surface of {surface.view}", across(surface)
+    for text, place in zip(parameters.gauge, places, strict=True):
+        refuse_longer(described_gauge(text).name, place, what, most, surface.unit)
     labels = np.where(moved.reason == Reason.VALID, regions.labels, 0).astype(np.int32)
     position = in_space(surface.position)
     pitch = pixel_pitch(position, labels, 0.5)
@@ -149,6 +162,21 @@ def read_gauges(
         progress(number / len(places), f"read {number} of {number_of(len(places), 'gauge')}")
     part = np.array(parts, dtype=np.float32) if parts else None
     return replace(_readings(found, surface, parameters), sigma_calibration=part)
+
+
+def across(surface: Surface) -> float:
+    """Return the diagonal of the box about the valid points of a surface, in its unit; infinite without."""
+    points = np.asarray(surface.position)[:, np.asarray(surface.reason) == Reason.VALID]
+    return float(np.linalg.norm(np.ptp(points, axis=1))) if points.size else inf
+
+
+def refuse_longer(name: str, place: GaugePlace, what: str, most: float, unit: str) -> None:
+    """Refuse a gauge that is longer or wider than all that it could lie on; `InvalidInput`."""
+    if max(place.length, place.width) > most:
+        raise InvalidInput(
+            f"gauge {name} is {place.length:g} {unit} long and {place.width:g} {unit} wide, and {what} is "
+            f"{most:.4g} {unit} from corner to corner; make the gauge smaller"
+        )
 
 
 def place_on(surface: Surface, text: str) -> GaugePlace:
@@ -192,7 +220,7 @@ def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParam
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -18,7 +18,7 @@ from pydantic import Field
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.formats.gauge_descriptions import described_gauge
 from sms_jobs.kinds.deformation.gauges import KIND as GAUGES_KIND
-from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, place_on
+from sms_jobs.kinds.deformation.gauges import GaugesParameters, frame_of_gauges, place_on, read_by
 from sms_jobs.kinds.kind import (
     CALIBRATION,
     MEASUREMENT,
@@ -174,9 +174,7 @@ def declared_gauges(campaign: Campaign, view: str) -> tuple[str, ...]:
     given: dict[str, Any] = campaign.processing.get(GAUGES_KIND.name, {})
     if not given.get("gauge"):
         return ()
-    gauges = GaugesParameters.model_validate(given).gauge
-    surface = view_of(view).measures_shape
-    return tuple(text for text in gauges if not surface or described_gauge(text).unit == "mm")
+    return read_by(view, GaugesParameters.model_validate(given).gauge)
 
 
 def _context(campaign: Campaign, subject: Subject) -> Compared:
@@ -411,7 +409,7 @@ def _of_gauges(look: QuickLook) -> dict[str, float]:
 KIND = Kind(
     name="quick-look",
     summary="seconds after a recording: shape at some pixels, displacement at the gauges, what is wrong",
-    version=25,
+    version=26,
     scope=Scope.TUPLE,
     parameters=QuickLookParameters,
     inputs=(_FRAMES, _CALIBRATION, _REFERENCE, _REFERENCE_FRAMES),

@@ -71,7 +71,7 @@ class StrainParameters(Parameters):
         None,
         gt=2.0,
         description="the same in the image of a camera alone, where its length in mm is not given; "
-        f"{_USUAL_PX:g} px if neither is",
+        f"{_USUAL_PX:g} px if neither is; refused where all views measure surfaces",
     )
     method: Literal["disc", "square"] = Field(
         "disc",

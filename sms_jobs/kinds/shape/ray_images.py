@@ -91,11 +91,13 @@ def refuse_far_from_rays(
 ) -> float:
     """Return the rms distance of the matches from the images of their rays, in px, robustly.
 
-    Raises `MeasurementFailed` where it is so large that the calibration is not theirs, or where they lie on
-    those of the cameras the other way round.
+    Raises `MeasurementFailed` where it is so large that the calibration is not theirs, where they lie on
+    those of the cameras the other way round, and where no rays meet.
     """
     middle = _distance_from_rays(cameras, found, threads)
     swapped = _distance_from_rays([cameras[1], cameras[0], *cameras[2:]], found, threads)
+    if not np.isfinite(middle):
+        raise MeasurementFailed(_why_none_meet(view, cameras, swapped))
     if middle > max(_SWAPPED * swapped, 0.1):
         raise MeasurementFailed(why_nothing(view, middle, (view.other_cameras[0], swapped)))
     if middle > most_px:
@@ -103,10 +105,26 @@ def refuse_far_from_rays(
     return 1.4826 * middle
 
 
+def _why_none_meet(view: View, cameras: list[Camera], swapped_px: float) -> str:
+    """Return in words why the rays of what textures match nowhere meet."""
+    one, *others = (-camera.pose.matrix().T @ np.array(camera.pose.translation) for camera in cameras)
+    apart = min(float(np.linalg.norm(other - one)) for other in others)
+    told = (
+        f"the textures of {' and '.join(view.sensors)} match, and their rays meet nowhere: by the "
+        f"calibration the cameras are {apart:.3g} mm apart, and it is not that of these images"
+    )
+    if np.isfinite(swapped_px):
+        return (
+            f"{told}; with {view.camera} and {view.other_cameras[0]} swapped they do: import the images or "
+            "the calibration again with the cameras in the other order"
+        )
+    return f"{told}; bring in that of the rig as it stood"
+
+
 def _distance_from_rays(cameras: list[Camera], found: list[GridMatches], threads: int) -> float:
     """Return the median distance in px of matches from the images of their rays, of the worst partner.
 
-    All together would hide one camera that has moved among others that have not.
+    All together would hide one camera that has moved among others that have not. Infinite where none meet.
     """
     worst = 0.0
     for partner, one in zip(cameras[1:], found, strict=True):
@@ -116,8 +134,8 @@ def _distance_from_rays(cameras: list[Camera], found: list[GridMatches], threads
         places, slopes = _places(one, good)[None], _slopes(one, good)[None]
         met = meet_rays(cameras[0], [partner], pixels, places, sigma, slopes, threads)
         distance = np.sqrt(met.chi_square * np.mean(sigma[0] ** 2, axis=0))
-        if np.isfinite(distance).any():
-            worst = max(worst, float(np.nanmedian(distance)))
+        if good.any():
+            worst = max(worst, float(np.nanmedian(distance)) if np.isfinite(distance).any() else np.inf)
     return worst
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,21 @@ import numpy as np
 import pytest
 from support.homes import initialised
 
+from sms_jobs import bootstrap
 from sms_jobs.app.fields import surface_fields
 from sms_jobs.app.fields.surface_fields import Gauges
 from sms_jobs.cli import surface_places
+from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.profiles import GaugeRow, draw_gauges
+from sms_jobs.jobs.archiving.registration import register_campaign
+from sms_jobs.jobs.archiving.repository import Repository, brought_in
 from sms_jobs.kinds.deformation import gauges
 from sms_jobs.kinds.deformation.gauges import GaugesParameters
 from sms_jobs.kinds.kind import Inputs
+from sms_jobs.kinds.products import GAUGES
+from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.subject import Subject
+from sms_jobs.virtual_rig.campaigns import small_plate
 
 ALONG, ACROSS, AWAY = (
     "along x=5 y=-10 length=40 width=30",
@@ -54,6 +63,23 @@ def test_a_gauge_that_reads_nothing_is_named(plate: Any) -> None:
     assert said[-1] == "nothing to read under away: off the specimen, or too few valid points"
 
 
+def test_what_a_camera_alone_reads_in_pixels_is_no_gauge_of_a_surface(plate: Any) -> None:
+    subject, alone = plate.subject("S01", "C1P1"), "C2 x=90px y=90px length=20px"
+    both = plate.run(gauges.KIND, subject, GaugesParameters(gauge=(alone, ALONG))).records["gauges"]
+    assert both.names == ("along",)
+    with pytest.raises(InvalidInput, match="gauge 'C2' is in pixels"):
+        plate.run(gauges.KIND, subject, GaugesParameters(gauge=(alone,)))
+
+
+@pytest.mark.parametrize("length", ["400", "1e5", "1e300"])
+def test_a_gauge_longer_than_the_surface_is_refused_whatever_it_would_take(plate: Any, length: str) -> None:
+    chosen = GaugesParameters(gauge=(ALONG, f"long x=0 y=0 length={length} width=5"))
+    with pytest.raises(
+        InvalidInput, match=r"gauge long is .* mm long and 5 mm wide, and the surface of C1P1"
+    ):
+        plate.run(gauges.KIND, plate.subject("S01", "C1P1"), chosen)
+
+
 def test_the_command_says_which_gauges_read_nothing_and_where(
     home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -69,6 +95,33 @@ def test_the_command_says_which_gauges_read_nothing_and_where(
         f"gauge away reads nothing in C1P1 at S01 and 2 more: {why}",
         f"gauge away reads nothing in C2P1 at S01: {why}",
     ]
+
+
+def test_readings_are_in_the_order_of_the_test(home: Path) -> None:
+    initialised(home)
+    calibration, plate = small_plate("plate")
+    rest, moved = plate.states
+    states = (rest, *(replace(moved, label=label) for label in ("S9", "S10", "after")))
+    now = datetime.now(UTC)
+    with bootstrap.services(home) as services:
+        ordered = replace(plate, states=states)
+        register_campaign(services.catalogue, services.archive, ordered, calibration, now)
+        one = GaugeReadings(
+            "green-lagrange",
+            ("G1",),
+            np.zeros(1),
+            np.zeros(1, np.float32),
+            np.zeros((1, 3)),
+            np.full(1, 40, np.int32),
+        )
+        with Repository(services.catalogue, services.archive).batch() as batch:
+            for label in ("after", "S10", "S9"):
+                batch.seal(
+                    {GAUGES.stored_as: one}, brought_in("gauges", Subject("plate", label, "C1P1"), now)
+                )
+            batch.enter()
+        found = surface_fields.gauges(services, "plate")
+    assert [row.state for row in found.rows] == ["S9", "S10", "after"]
 
 
 def test_gauges_are_drawn() -> None:

@@ -59,7 +59,15 @@ def test_real_gauges_stand_beside_virtual_ones(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
-    [("state,gauge\nS01,G1\n", "no column microstrain"), ("state,gauge,microstrain\nS01,G1,x\n", "line 2")],
+    [
+        ("state,gauge\nS01,G1\n", "no column microstrain"),
+        ("state,gauge,microstrain\nS01,G1,x\n", "line 2"),
+        ("state,gauge,microstrain\nS01,G1,nan\n", "line 2"),
+        (
+            "state,gauge,microstrain\nS01,G1,1\nS01,G2,2\nS01,G1,3\n",
+            "line 4 .* second of gauge G1 at state S01",
+        ),
+    ],
 )
 def test_a_wrong_gauge_file_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
     file = tmp_path / "gauges.csv"

@@ -93,6 +93,27 @@ def test_where_every_state_is_refused_nothing_is_submitted(recorded: Path) -> No
     assert submitted(recorded) == Counter()
 
 
+def test_a_gauge_length_in_pixels_that_no_view_takes_is_refused(recorded: Path) -> None:
+    at = (
+        "simulate",
+        "pipeline",
+        "-c",
+        "plate",
+        "--set",
+        "strain.gauge_length_px=20",
+        "--home",
+        str(recorded),
+    )
+    for words in (("job", "submit"), ("schedule", "add", "nightly", "--every", "1h")):
+        refused = inside(*words, *at)
+        assert refused.returncode == 2
+        assert "gauge_length_px is 20, which cameras alone take, and plate has none beside" in refused.stderr
+    assert submitted(recorded) == Counter()
+    # What is given in mm is what counts.
+    both = inside("job", "submit", *at, "--set", "strain.gauge_length_mm=30", "--dry-run")
+    assert "would submit" in both.stderr
+
+
 def test_a_schedule_submits_the_others_and_tells(recorded: Path) -> None:
     order = Order("plate", (Request("pipeline"),))
     with bootstrap.services(recorded) as services:

@@ -9,8 +9,10 @@ import pytest
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.gauge_descriptions import described_gauge
-from sms_jobs.kinds.gauges_in_images import ImageAlone, check_declared, check_gauges
+from sms_jobs.kinds.gauges_in_images import ImageAlone, check_declared, check_gauges, surface_there, unread
 from sms_jobs.metrology.deformation.strain.gauges import read_gauge
+from sms_jobs.records.fields import Surface
+from sms_jobs.records.reasons import Reason
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 IMAGE = ImageAlone("C1", 80, 60)
@@ -43,6 +45,53 @@ def test_what_is_refused_reads_nothing_and_what_is_not_reads_something(rng: np.r
         told.append(refused(gauge, IMAGE))
         assert told[-1] == bool(np.isnan(found.strain)), gauge
     assert 20 < sum(told) < 80
+
+
+def test_what_is_refused_of_a_surface_reads_nothing_on_it(rng: np.random.Generator) -> None:
+    y, x = np.mgrid[-30:30:1.0, -40:40:1.0]
+    position = np.stack([x, y, 0.01 * x**2])
+    reason = np.where(np.hypot(x, y) < 12.0, Reason.NO_TEXTURE, Reason.VALID).astype(np.uint32)
+    covariance = np.zeros((6, 60, 80))
+    covariance[[0, 3, 5]] = 1e-6
+    surface = Surface("C1C2", "mm", np.where(reason == Reason.VALID, position, np.nan), reason)
+    campaign = replace(small_plate("plate")[1], scene=None)
+    sight = surface_there(campaign, surface, sparse=False)
+    frame = campaign.placement
+    own = np.einsum(
+        "ij,jrc->irc", frame.matrix().T, surface.position - np.array(frame.translation)[:, None, None]
+    )
+    told = []
+    for _ in range(300):
+        at = rng.uniform((-60.0, -50.0), (60.0, 50.0))
+        length, width = rng.uniform(1.0, 20.0, 2)
+        gauge = f"G x={at[0]:.3f} y={at[1]:.3f} length={length:.3f} width={width:.3f}"
+        place = described_gauge(gauge).place
+        found = read_gauge(
+            place, own, np.zeros_like(own), covariance, (reason == Reason.VALID).astype(np.int32)
+        )
+        told.append(unread(described_gauge(gauge), {"C1C2": sight}) is not None)
+        assert not told[-1] or np.isnan(found.strain), gauge
+    assert 60 < sum(told) < 240
+    for gauge, why in (
+        ("G x=0 y=0 length=10", "lies off the surface of C1C2: from its middle at x=0 y=0 mm the nearest"),
+        (
+            "G x=20 y=0 length=2 width=1",
+            "has at most 9 pixels of the surface of C1C2 under it, and 12 are needed",
+        ),
+        (
+            "G x=20 y=0 length=200 width=1",
+            "is 200 mm long and 1 mm wide, and the surface of C1C2 is 99",
+        ),
+        (
+            "G x=20px y=0px length=9px",
+            "is in pixels, which only cameras alone read, and there is none beside C1C2",
+        ),
+    ):
+        with pytest.raises(InvalidInput, match=why):
+            check_gauges([gauge], {"C1C2": sight})
+    check_gauges(["G x=20px y=0px length=9px"], {"C1C2": sight, "C1": IMAGE})
+    with pytest.raises(InvalidInput, match=r"is 101 px long and 50[.]5 px wide, and the image of C1 is 98"):
+        check_gauges(["G x=20px y=0px length=101px"], {"C1": IMAGE})
 
 
 def test_a_gauge_that_any_view_may_read_is_none_to_refuse() -> None:

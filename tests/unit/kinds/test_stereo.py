@@ -284,6 +284,16 @@ def test_cameras_that_moved_are_refused() -> None:
         surface_of(subject, [images[0], shifted], calibration())
 
 
+def test_cameras_that_are_said_to_be_at_one_place_are_refused() -> None:
+    subject = Subject("test", "S00", "C1C2")
+    image = exposed(0, 2, curved, at_rest, 0)[0]
+    exact = calibration()
+    first, second = exact.rig.sensors
+    both = replace(exact, rig=Rig("two", (first, replace(first, name=second.name))))
+    with pytest.raises(MeasurementFailed, match="rays meet nowhere: by the calibration the cameras are 0 mm"):
+        surface_of(subject, [image, image], both)
+
+
 def test_textures_are_looked_for_where_the_calibration_knows_their_lines_to_be() -> None:
     """The second camera is said to look 0.8 px higher than it does: known to 0.5 px, that is no wonder."""
     subject = Subject("test", "S00", "C1C2")

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.geometry.transforms import unpack
 
-_LEAST_PIXELS = 12
+LEAST_PIXELS = 12
+"""Under the grid of a gauge that reads anything."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class GaugePlace:
     @property
     def reach(self) -> float:
         """How far from its middle a gauge looks for a point to stand on; without one it reads nothing."""
-        return 0.25 * min(self.length, self.width) + self.half_diagonal / _LEAST_PIXELS
+        return 0.25 * min(self.length, self.width) + self.half_diagonal / LEAST_PIXELS
 
 
 @dataclass(frozen=True)
@@ -110,12 +111,12 @@ def read_gauge(
     near = valid & (labels == labels[nearest])
     near &= np.sum((xyz - middle[:, None, None]) ** 2, axis=0) <= place.half_diagonal**2
     points = xyz[:, near] - middle[:, None]
-    if points.shape[1] < _LEAST_PIXELS:
+    if points.shape[1] < LEAST_PIXELS:
         return _missing(valid)
     along, across = _grid_axes(points, place.angle_rad)
     s, t = along @ points, across @ points
     under = (np.abs(s) <= 0.5 * place.length) & (np.abs(t) <= 0.5 * place.width)
-    if np.count_nonzero(under) < _LEAST_PIXELS:
+    if np.count_nonzero(under) < LEAST_PIXELS:
         return _missing(valid)
     s, t = s[under] - s[under].mean(), t[under] - t[under].mean()
     normal = np.array([[s @ s, s @ t], [s @ t, t @ t]])
