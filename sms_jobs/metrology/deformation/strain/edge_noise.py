@@ -155,7 +155,7 @@ def _noise_rows(
                     yy *= beside + square * (across - beside)
                     sum_xx += xx
                     sum_yy += yy
-                    if both != 0.0:
+                    if both != 0.0:  # what is not known stays so
                         sum_xy += xy * (xx + yy) / both
                 if beside_edge:
                     sum_xx, sum_yy, sum_xy = max(most_xx, sum_xx), max(most_yy, sum_yy), max(most_xy, sum_xy)
