@@ -17,7 +17,7 @@ from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 VIEWS = ["C1P1", "C2P1", "C10P1"]
-STATES = [state.label for state in small_plate("plate")[1].states[1:3]]
+STATES = [state.label for state in small_plate("plate")[1].states]
 WANTED = [(state, view) for state in STATES for view in VIEWS]
 
 

@@ -37,14 +37,6 @@ if TYPE_CHECKING:
     from sms_jobs.records.system_test import SystemTest
 
 KIND = "system-test"
-_CERTIFIED = {
-    "probing-form": ("form_sigma_mm",),
-    "probing-size": ("radius_sigma_mm",),
-    "sphere-distance": ("length_sigma_mm",),
-    "length": ("length_sigma_mm", "radius_sigma_mm"),
-    "flatness": ("form_sigma_mm",),
-}
-"""Parameters of the kind with the uncertainties of the certificate that a quantity rests on."""
 
 
 @dataclass(frozen=True)
@@ -300,9 +292,11 @@ def judge(
 
 def _taken_as_exact(campaign: str, stored: StoredRecord, limits: Mapping[str, float]) -> list[str]:
     """Say which uncertainties of an artefact are 0 or were not given, where something is judged with them."""
+    from sms_jobs.kinds.calibration.system_test import CERTIFIED
+
     given = stored.provenance.parameters
-    judged = [name for name in limits if name in stored.record.quantities]
-    resting = {name: [one for one in _CERTIFIED[name] if not given.get(one)] for name in judged}
+    judged = [name for name in CERTIFIED if name in limits and name in stored.record.quantities]
+    resting = {name: [one for one in CERTIFIED[name] if not given.get(one)] for name in judged}
     exact = [name for name in judged if resting[name]]
     missing = dict.fromkeys(one for some in resting.values() for one in some)
     told = (

@@ -46,6 +46,14 @@ _RIG = Port("calibration", CALIBRATION, (CALIBRATED,))
 _RIM_PX = 3
 """Of a plate, that sees its edge."""
 _OF_BAR: tuple[Tested, ...] = ("probing-form", "probing-size", "sphere-distance", "length")
+CERTIFIED: dict[Tested, dict[str, float]] = {
+    "probing-form": {"form_sigma_mm": 1.0},
+    "probing-size": {"radius_sigma_mm": 2.0},
+    "sphere-distance": {"length_sigma_mm": 1.0},
+    "length": {"length_sigma_mm": 1.0, "radius_sigma_mm": 2.0},
+    "flatness": {"form_sigma_mm": 1.0},
+}
+"""The certificate's uncertainties that an error rests on, by parameter, and how often each is in it."""
 
 
 class SystemTestParameters(Parameters):
@@ -186,30 +194,29 @@ def _values(
     size = max(free, key=lambda one: abs(one.radius - parameters.radius_mm))
     radii = free[0].radius + free[1].radius
     row = _Row("probing-form", subject, points=points, left_out=off)
-    certified_length = float(np.hypot(parameters.length_sigma_mm, 2.0 * parameters.radius_sigma_mm))
     noise_of_length = float(np.sqrt(spread**2 + free[0].radius_sigma ** 2 + free[1].radius_sigma ** 2))
     return [
-        replace(row, error=form.span, noise=form.span_sigma, certified=parameters.form_sigma_mm),
+        _with_form(row, form, parameters),
         replace(
             row,
             quantity="probing-size",
             error=2.0 * (size.radius - parameters.radius_mm),
             noise=2.0 * size.radius_sigma,
-            certified=2.0 * parameters.radius_sigma_mm,
+            certified=_certified_sigma("probing-size", parameters),
         ),
         replace(
             row,
             quantity="sphere-distance",
             error=distance - parameters.length_mm,
             noise=spread,
-            certified=parameters.length_sigma_mm,
+            certified=_certified_sigma("sphere-distance", parameters),
         ),
         replace(
             row,
             quantity="length",
             error=distance + radii - parameters.length_mm - 2.0 * parameters.radius_mm,
             noise=noise_of_length,
-            certified=certified_length,
+            certified=_certified_sigma("length", parameters),
         ),
     ]
 
@@ -236,7 +243,13 @@ def _plane_row(surface: Surface, subject: Subject, parameters: SystemTestParamet
 
 
 def _with_form(row: _Row, form: Form, parameters: SystemTestParameters) -> _Row:
-    return replace(row, error=form.span, noise=form.span_sigma, certified=parameters.form_sigma_mm)
+    certified = _certified_sigma(row.quantity, parameters)
+    return replace(row, error=form.span, noise=form.span_sigma, certified=certified)
+
+
+def _certified_sigma(quantity: Tested, parameters: SystemTestParameters) -> float:
+    rests_on = CERTIFIED[quantity].items()
+    return float(np.hypot.reduce([times * getattr(parameters, name) for name, times in rests_on]))
 
 
 def _record(rows: list[_Row], parameters: SystemTestParameters) -> SystemTest:

@@ -69,15 +69,15 @@ def _from_border(gaps: Mask) -> Floats:
     """Return the distance from the border of the image but for what of it lies in gaps, in px."""
     inner = np.zeros_like(gaps)
     inner[1:-1, 1:-1] = True
-    return _from(~(inner | gaps))
+    return _distance_from(~(inner | gaps))
 
 
 def _from_regions(outside: Mask) -> Floats:
     """Return the distance from the outermost pixels of regions, in px; 0 outside."""
-    return np.maximum(_from(outside) - 1.0, 0.0)
+    return np.maximum(_distance_from(outside) - 1.0, 0.0)
 
 
-def _from(mask: Mask) -> Floats:
+def _distance_from(mask: Mask) -> Floats:
     """Return the distance from a mask's nearest pixel, in px; infinite where there is none."""
     if not mask.any():
         return np.full(mask.shape, np.inf)
