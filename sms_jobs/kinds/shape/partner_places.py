@@ -16,9 +16,14 @@ from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCame
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
-from sms_jobs.metrology.geometry.camera import pixel_grid
+from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
 from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
-from sms_jobs.metrology.geometry.several_cameras import SeenPoints, meet_rays, slopes_of_places
+from sms_jobs.metrology.geometry.several_cameras import (
+    SeenPoints,
+    directions_across_rays,
+    meet_rays,
+    slopes_of_places,
+)
 from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import PlacesSeen, Surface
 from sms_jobs.records.reasons import Reason
@@ -60,27 +65,51 @@ class PartnerPlaces:
 
 
 def places_of_pixels(
-    images: PreparedImages, found: GridMatches, parameters: StereoParameters, threads: int
+    cameras: tuple[Camera, Camera],
+    images: PreparedImages,
+    found: GridMatches,
+    parameters: StereoParameters,
+    threads: int,
 ) -> PartnerPlaces:
-    """Spread matches to the pixels, and compare the images again along what comes of that."""
+    """Spread matches to the pixels, and compare the images again along what comes of that.
+
+    `cameras` are the reference and the partner.
+    """
     labels, radius = images.labels, parameters.subset_radius_px
     plane = in_space(pixels_as_plane(labels.shape))
     spread = blended(trusted_points(found, labels), plane, labels, radius, threads)
     shift, variance = spread.value, spread.variance
     np.copyto(shift, np.nan, where=~between_matches(found, labels.shape, parameters.spacing_px))
     verified = verify_displacement(
-        images, shift, radius, parameters.shape_order, parameters.smoothing_px, threads
+        images,
+        shift,
+        radius,
+        parameters.shape_order,
+        parameters.smoothing_px,
+        threads,
+        across=directions_across_rays(*cameras),
     )
     place = _well_inside(
         np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
     )
-    off = asks_for_another_place(verified.bias, variance)
+    bias = _in_partner(verified.bias, place, radius)
+    off = asks_for_another_place(bias, variance)
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
     disagree = widened(narrowed(off | ~verified.agrees, 3, border_ends=True), 3) & np.isfinite(place[0])
     np.copyto(place, np.nan, where=disagree)
     filtered = spots_of(parameters.smoothing_px)
     lenses = images.spots[0] - filtered[0], images.spots[1] - filtered[1]
-    return PartnerPlaces(place, variance + verified.bias, spread.noise, disagree, lenses)
+    return PartnerPlaces(place, variance + bias, spread.noise, disagree, lenses)
+
+
+def _in_partner(variance: Floats, place: Floats, lever: int) -> Floats:
+    """Return variances (2, rows, columns) in px^2 of the reference image in px^2 of the partner's at places.
+
+    Slopes are taken over `lever` px; what has none is as large in both images.
+    """
+    slopes = slopes_of_places(place, lever)
+    slopes = np.where(np.isnan(slopes), np.eye(2)[..., None, None], slopes)
+    return np.asarray(np.einsum("ka...,a...->k...", slopes**2, variance))
 
 
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:

@@ -130,7 +130,8 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         images = prepare_images(reference.texture, partner.texture, labels, noise, spots=spots)
         matched, images = _matched(inputs, name, reference, partner, images, nodes, parameters, search)
         found.append(matched)
-        spread.append(places_of_pixels(images, found[-1], parameters, inputs.threads))
+        both = reference.camera, partner.camera
+        spread.append(places_of_pixels(both, images, matched, parameters, inputs.threads))
     progress(0.8, "; ".join(summary(one.matches.ending) for one in found))
     epipolar = refuse_far_from_rays(
         inputs.view, [one.camera for one in seen], found, parameters.maximum_epipolar_px, inputs.threads
@@ -315,7 +316,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=22,
+    version=23,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

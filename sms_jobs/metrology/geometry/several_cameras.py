@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
-from sms_jobs.metrology.geometry.camera import Camera, project, ray_directions
+from sms_jobs.metrology.geometry.camera import (
+    Camera,
+    project,
+    projection_jacobian,
+    ray_directions,
+)
 from sms_jobs.metrology.geometry.lens_kernels import by_point, distorted, undistorted
 from sms_jobs.metrology.geometry.triangulation import closest, turned
 
@@ -25,6 +30,8 @@ a px."""
 _STILL = 1e-3
 """Part of a depth's standard deviation that may be left to the next step: about this one's square over the
 depth, since where a point is seen is linear in all unknowns but that."""
+_SIDE = 16
+"""Of squares in px over which epipolar lines are taken to have one direction."""
 _SINGULAR = 1e-9
 """Part of what the images say of a depth that may be left beside what they say of the matches."""
 
@@ -337,6 +344,24 @@ def slopes_of_places(place: Floats, lever_px: int) -> Floats:
     slopes = np.empty((2, 2, *place.shape[1:]))
     _fill_slopes(np.ascontiguousarray(place), lever_px, slopes)
     return slopes
+
+
+def directions_across_rays(reference: Camera, partner: Camera) -> Floats:
+    """Return unit vectors (2, rows, columns) in the reference image along which depth moves no match.
+
+    They are at right angles to the epipolar line of the pixel. One is taken for 16 px a side, over which
+    lines hardly turn; NaN at the epipole and outside the lens's valid field.
+    """
+    rows, columns = reference.rows, reference.columns
+    y, x = (np.minimum(np.arange(0, size, _SIDE) + _SIDE // 2, size - 1.0) for size in (rows, columns))
+    pixels = np.stack(np.meshgrid(x, y), axis=-1)
+    intrinsics, pose = reference.intrinsics, reference.pose
+    ahead = pose.centre() + ray_directions(intrinsics, pose, pixels)
+    # To move a point towards the partner is to move it within the plane of both pin-holes and itself.
+    along = projection_jacobian(intrinsics, pose, ahead) @ (partner.pose.centre() - pose.centre())
+    with np.errstate(invalid="ignore"):
+        across = np.stack([-along[..., 1], along[..., 0]]) / np.hypot(along[..., 0], along[..., 1])
+    return np.repeat(np.repeat(across, _SIDE, axis=1), _SIDE, axis=2)[:, :rows, :columns]
 
 
 def depths_in_box(

@@ -19,7 +19,7 @@ from sms_jobs.metrology.deformation.matching import window_maps
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.slow_changes import moved_by_slow_changes
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
-from sms_jobs.metrology.deformation.matching.window_maps import means
+from sms_jobs.metrology.deformation.matching.window_maps import means, means_of
 from sms_jobs.metrology.images.masks import box_of, narrowed
 from sms_jobs.metrology.images.smoothing import (
     noise_after_smoothing,
@@ -42,7 +42,6 @@ _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
 _RIM = 3  # px at an image's border: its spline, bent by reflection, is off by 0.01 px there
 _OTHER = 8.0  # median deviations from which on a pixel shows something else
 _SAMPLE, _EVERY = 20_000, 8  # pixels that tell a median, to 2 %; of more, every so many, at most
-_LEAST_SHARE = 0.1  # of a subset's pixels that must be there to tell how rough the images are
 _OTHERS = 0.25  # of a window's pixels that may show something else
 _LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
 _LEAST_VARIANCE = 1e-12  # grey levels squared, of images that are told to have no noise
@@ -205,6 +204,14 @@ def _bounded(found: Floats, maps: tuple[Floats, ...], scale: int, window: int) -
     return bound
 
 
+def _made_by_images(asked: Floats, noises: Floats, across: Floats, known: Mask, radius: int) -> Floats:
+    """Return by how much more than noise windows ask for along unit vectors, as a variance, at least 1."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squares = (across * asked).sum(axis=0) ** 2 / (across**2 * noises).sum(axis=0)
+    usable = known & np.isfinite(squares) & (np.abs(asked) < _FAR).all(axis=0)
+    return np.fmax(means_of(np.minimum(squares, _ALONE**2), usable, radius), 1.0)
+
+
 def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> Floats:
     """Return by how much more than noise residuals scatter from pixel to pixel, at least 1.
 
@@ -214,13 +221,9 @@ def _roughness(residual: Floats, variance: Floats, known: Mask, radius: int) -> 
     rows = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
     rough[1:-1, 1:-1] = rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:]
     inner = narrowed(known, 3, border_ends=True)
-    squares = np.where(inner, rough**2 / variance, 0.0)
-    share = means(inner.astype(np.float64), radius)
+    squares = rough**2 / variance
     everywhere = float(np.mean(squares[inner])) if inner.any() else 1.0
-    enough = share > _LEAST_SHARE
-    return np.maximum(
-        np.where(enough, means(squares, radius) / np.where(enough, share, 1.0), everywhere), 1.0
-    )
+    return np.maximum(np.nan_to_num(means_of(squares, inner, radius), nan=everywhere), 1.0)
 
 
 def verify_displacement(
@@ -230,6 +233,8 @@ def verify_displacement(
     order: int,
     smoothing_px: float,
     threads: int = 1,
+    *,
+    across: Floats | None = None,
 ) -> Verified:
     """Compare the images along a displacement that subsets have measured.
 
@@ -245,6 +250,9 @@ def verify_displacement(
         Standard deviation of the filter that both images have passed.
     threads
         How many threads to use; the result does not depend on it.
+    across
+        (2, rows, columns), unit vectors in the reference image along which no shape of what is seen can move
+        a match, NaN where none is known; None where a displacement may be off in any direction.
 
     Notes
     -----
@@ -254,6 +262,10 @@ def verify_displacement(
     neighbouring windows as far as its own significance allows. The sum of r^2 over a window, in units of the
     noise, tells where the images differ: more than three times what noise or, where the noise is not well
     known, the median window has.
+
+    What windows ask for `across` is made by the images alone: by noise, by lenses, by texture that is sampled
+    coarsely. By how much more that is than noise, in the mean over the largest squares, noise is taken to be
+    more in both directions.
     """
     known = np.asarray(np.isfinite(image).all(axis=0))
     sizes = _Sizes.of(radius)
@@ -268,7 +280,9 @@ def verify_displacement(
     def work(start: int, stop: int) -> None:
         start, stop = start + rows.start, stop + rows.start
         top, bottom = max(start - halo, rows.start), min(stop + halo, rows.stop)
-        square, left_over = _in_part(images, image, inner, (slice(top, bottom), columns), sizes, noise)
+        part = slice(top, bottom), columns
+        ways = None if across is None else across[:, *part]
+        square, left_over = _in_part(images, image, inner, part, sizes, noise, ways)
         own = np.s_[start - top : stop - top]
         bias[:, start:stop, columns] = _WHOLE_BIAS * square[:, own]
         misfit[start:stop, columns] = left_over[own]
@@ -326,6 +340,7 @@ def _in_part(
     part: tuple[slice, slice],
     sizes: _Sizes,
     noise: _Noise,
+    across: Floats | None,
 ) -> tuple[Floats, Floats]:
     """Return for rows and columns the mean square of what windows ask for (2, ..), and their misfit."""
     f = _seen_as_deformed(images, image, part)
@@ -343,6 +358,8 @@ def _in_part(
     roughness = _roughness(residual, noise.rough * variance, known, sizes.subset)
     asked, spread = _asked_for(gx, gy, residual, noise.window * variance, sizes.window)
     noises = np.where(inner[part], 1.0, 1.0 / noise.left_by_fit) * roughness * spread
+    if across is not None:
+        noises *= _made_by_images(asked, noises, across, known & inner[part], max(sizes.squares))
     told = np.asarray(np.isfinite(image[:, *part]).all(axis=0))
     square = np.stack(
         [_mean_square(a, n, known, told, inner[part], sizes) for a, n in zip(asked, noises, strict=True)]

@@ -10,6 +10,8 @@ import numpy as np
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.compilation import inlined, kernel
 
+_LEAST_SHARE = 0.1  # of a square's pixels that must be known to tell the mean of all
+
 
 @inlined
 def _least(a: float, b: float) -> float:
@@ -29,6 +31,14 @@ def means(values: Floats, radius: int) -> Floats:
 
     size = (2 * radius + 1, 2 * radius + 1)
     return np.asarray(cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_CONSTANT))
+
+
+def means_of(values: Floats, known: Mask, radius: int) -> Floats:
+    """Return the means of what is known in such squares; NaN where that is less than a tenth of one."""
+    share = means(known.astype(np.float64), radius)
+    total = means(np.where(known, values, 0.0), radius)
+    enough = share > _LEAST_SHARE
+    return np.where(enough, total / np.where(enough, share, 1.0), np.nan)
 
 
 @kernel
