@@ -13,6 +13,7 @@ from sms_jobs.formats.report.tables import PER_CENT, local_time
 from sms_jobs.records.calibration import CalibrationQuality
 from sms_jobs.records.recording import Recording
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.shown.times import known_time
 
 _MICROMETRES = 1e3
 
@@ -24,7 +25,7 @@ def calibration_summary(calibration: Calibration, quality: CalibrationQuality | 
     entries = [
         ("rig", calibration.rig.name),
         ("origin", calibration.origin),
-        ("valid from", local_time(calibration.valid_from) or ""),
+        ("valid from", local_time(known_time(calibration.valid_from)) or "not known"),
         ("sensors", ", ".join(s.name for s in calibration.rig.sensors)),
         ("volume", f"{span} mm, diagonal {number(box.diagonal_mm)} mm"),
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from html import unescape
 from typing import Any
@@ -18,6 +18,7 @@ from sms_jobs.formats.report.origins import commands, origins
 from sms_jobs.kinds import kind_named
 from sms_jobs.records.recording import Recording, Verdict
 from sms_jobs.records.subject import Subject
+from sms_jobs.records.times import UNTIMED
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
 
@@ -112,3 +113,16 @@ def test_a_calibration_without_a_record_of_its_quality_says_so() -> None:
     html = "".join(part.html for part in calibration_summary(calibration, None))
     assert calibration.origin in html
     assert "Nothing is known of its uncertainty" in html
+
+
+def test_since_when_a_calibration_is_valid_is_told_where_anybody_knows() -> None:
+    calibration, _ = top_hat_bending("page", "small")
+
+    def page(moment: datetime) -> str:
+        parts = calibration_summary(replace(calibration, valid_from=moment), None)
+        return "".join(part.html for part in parts)
+
+    assert "2026-03-01" in page(datetime(2026, 3, 1, 12, tzinfo=UTC))
+    untimed = page(UNTIMED)
+    assert "not known" in untimed
+    assert str(UNTIMED.year) not in untimed
