@@ -27,7 +27,7 @@ from sms_jobs.jobs.running import limits, recovery
 from sms_jobs.jobs.running.limits import Limits, Watch
 from sms_jobs.jobs.running.origin import Origin
 from sms_jobs.jobs.running.witness import Witness
-from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling import firing
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch
@@ -238,7 +238,7 @@ class Supervisor:
             self._places.end(job.pid, job.force)
 
     def _fire_schedules(self) -> None:
-        for one in schedules.fire_due(self._services.catalogue, datetime.now(UTC)):
+        for one in firing.fire_due(self._services.catalogue, datetime.now(UTC)):
             logger.info("schedule %s, %s: %s", one.schedule, one.fire_time, one.outcome)
 
     def _analyse(self) -> None:

@@ -20,7 +20,7 @@ from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.registration import register_calibration
-from sms_jobs.jobs.scheduling.schedules import fire_due
+from sms_jobs.jobs.scheduling.firing import fire_due
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 
