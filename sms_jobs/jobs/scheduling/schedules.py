@@ -99,6 +99,11 @@ class ScheduleView:
     last_outcome: str | None
     next_fire: datetime | None
 
+    @property
+    def when(self) -> str:
+        """Its expression as people read it."""
+        return parse_expression(self.expression, self.time_zone).in_words
+
 
 def add(
     catalogue: Catalogue,
