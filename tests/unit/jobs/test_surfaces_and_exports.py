@@ -179,6 +179,16 @@ def test_the_newest_of_a_kind_of_each_subject(services: Services, home: Path, he
     assert page.read_text() == "<p>page</p>"
 
 
+def test_several_results_are_written_in_their_natural_order(
+    services: Services, home: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, view in enumerate(("C10P1", "C2P1", "C1P1")):
+        stored(services, "reconstruct", f"plate/S00/{view}", {"surface": cloud()}, number)
+    export(home, kind="reconstruct", campaign="plate", form="xyz", as_json=True)
+    written = [Path(name).name for name in json.loads(capsys.readouterr().out)["files"]]
+    assert written == [f"plate-S00-{view}-reconstruct.xyz" for view in ("C1P1", "C2P1", "C10P1")]
+
+
 def test_sealed_files_of_several_subjects_have_names_of_their_own_and_are_all_written_or_none(
     services: Services, home: Path, here: Path
 ) -> None:
