@@ -138,7 +138,9 @@ def _lent(services: Services, other: FileView, quantity: str, placed: list[Place
 def no_part(key: str, part: str, parts: Iterable[str]) -> NotFound:
     """Return the error that says that a file has no such part, and which parts it has."""
     known = ", ".join(filter(None, parts))
-    return NotFound(f"file {key} has no part '{part}'; {f'it has {known}' if known else 'leave the part out'}")
+    return NotFound(
+        f"file {key} has no part '{part}'; {f'it has {known}' if known else 'leave the part out'}"
+    )
 
 
 def _parts(services: Services, file: FileView) -> dict[str, list[Placed]]:
