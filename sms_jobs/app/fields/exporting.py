@@ -12,6 +12,7 @@ from sms_jobs.app.specimens import campaigns
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
+from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.importers.folders import natural
 from sms_jobs.records.people import Right
@@ -131,6 +132,8 @@ def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileVie
             return [search.file_view(session, file)]
         if campaign is None:
             raise InvalidInput("a `kind` needs a `campaign`: add the campaign whose result is to be exported")
+        if state is not None:
+            definition(campaign_row(session, campaign)).state(state)
         found = search.find_files(
             session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
         )
