@@ -12,7 +12,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs.planning.gauge_places import check_requests
+from sms_jobs.jobs.planning.refusals import check_requests
 from sms_jobs.jobs.scheduling import schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression, zone_named
 from sms_jobs.jobs.scheduling.schedules import MissedFire, Order, ScheduleView
@@ -55,7 +55,8 @@ def add(
     Raises
     ------
     InvalidInput
-        The time or the work cannot be understood, or no view of the campaign can read a gauge.
+        The time or the work cannot be understood, no view of the campaign can read a gauge, or a region has
+        no pixel of its image.
     NotFound
         There is no such campaign or kind.
     Conflict
