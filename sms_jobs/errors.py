@@ -6,6 +6,8 @@ A message is one sentence that names the thing, the value, the limit with its un
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import ClassVar
 
 
@@ -175,6 +177,16 @@ class DeviceFault(InstrumentError):
 
 class FrameLost(InstrumentError):
     """A camera did not deliver a frame that was triggered; the pattern can be shown again."""
+
+
+def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.7) -> str:
+    """Return how an error asks whether a name that there is was meant, with "; " behind it; "" for none.
+
+    `cutoff` is how alike the two are, from 0 to 1, whatever their letters' case.
+    """
+    written = {one.lower(): one for one in known}
+    near = get_close_matches(name.lower(), written, 1, cutoff)
+    return f"did you mean '{written[near[0]]}'; " if near else ""
 
 
 def in_words(message: str) -> str:

@@ -33,6 +33,7 @@ Home = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
+_MOST_LEFT_OUT = 20
 _AS_WIDE_AS_IT_IS = 10_000
 _NARROWEST = 20
 """Some terminals and schedulers say that they have 0 columns, in which nothing can be shown."""
@@ -123,6 +124,14 @@ def print_facts(facts: dict[str, Any]) -> None:
 def say(text: str) -> None:
     """Tell the person something that is not the answer."""
     typer.echo(harmless(with_options(text)), err=True)
+
+
+def say_left_out(what: Sequence[str]) -> None:
+    """Tell the person what of a table is left out and why, as much as fits a screen."""
+    for text in what[:_MOST_LEFT_OUT]:
+        say(f"left out: {text}")
+    if len(what) > _MOST_LEFT_OUT:
+        say(f"left out: {len(what) - _MOST_LEFT_OUT} more; --json lists all")
 
 
 def say_error(text: str) -> None:

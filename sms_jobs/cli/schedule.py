@@ -154,7 +154,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
         [
             (
                 s.name,
-                s.expression,
+                s.when,
                 s.time_zone,
                 s.campaign,
                 " ".join(s.kinds),

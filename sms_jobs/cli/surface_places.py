@@ -52,7 +52,7 @@ def gauges(
     if out is not None:
         _write(out, force, found)
     if as_json:
-        output.print_json({"campaign": campaign, "gauges": found.rows})
+        output.print_json({"campaign": campaign, "gauges": found.rows, "left_out": found.left_out})
         return
     output.print_table(
         ["state", "view", "gauge", "virtual [µε]", "sigma [µε]", "pixels", "real [µε]", "difference [µε]"],
@@ -62,6 +62,7 @@ def gauges(
         ],
         empty=f"no virtual gauges of campaign {campaign}",
     )
+    output.say_left_out(found.left_out)
     for (name, of_view), states in found.unread.items():
         more = f" and {len(states) - 1} more" if len(states) > 1 else ""
         output.say(

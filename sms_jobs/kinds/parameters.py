@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from sms_jobs.errors import InvalidInput, in_words
+from sms_jobs.errors import InvalidInput, did_you_mean, in_words
 
 
 class Parameters(BaseModel):
@@ -29,8 +28,7 @@ class Parameters(BaseModel):
             if not name:
                 raise InvalidInput(f"the parameters of {kind} do not fit together: {why}") from error
             if first["type"] == "extra_forbidden":
-                near = get_close_matches(name, cls.model_fields, 1)
-                meant = f"did you mean '{near[0]}'; " if near else ""
+                meant = did_you_mean(name, cls.model_fields, 0.6)
                 raise InvalidInput(
                     f"{kind} has no parameter '{name}'; {meant}its parameters are {names}"
                 ) from error

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal, TypeAlias
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, did_you_mean
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.artefacts import Artefact
 from sms_jobs.records.measurement import FringeSequence
@@ -275,8 +275,9 @@ class Campaign:
         for state in self.states:
             if state.label == label:
                 return state
-        known = ", ".join(s.label for s in self.states)
-        raise InvalidInput(f"campaign {self.name} has no state {label}; it has {known}")
+        known = [s.label for s in self.states]
+        meant = did_you_mean(label, known)
+        raise InvalidInput(f"campaign {self.name} has no state {label}; {meant}it has {', '.join(known)}")
 
 
 def _recordings(views: Iterable[str]) -> tuple[str, ...]:

@@ -38,4 +38,18 @@ SIGMA_CALIBRATION: Final = f"{DISPLACEMENT_SIGMA} from the calibration"
 """Of what was measured with a calibration that says how well it is known."""
 STRAIN_VALUES: Final = tuple(component("strain", which) for which in STRAIN_COMPONENTS)
 PRINCIPAL_STRAINS: Final = (component("principal", "first"), component("principal", "second"))
+IN_SPACE: Final = (DISPLACEMENT_XYZ[2], SIGMA_CALIBRATION)
+"""Values that the image of a camera alone has not: it has no depth and takes no calibration."""
+MERGED_VALUES: Final = (
+    *DISPLACEMENT_XYZ,
+    DISPLACEMENT_LENGTH,
+    DISPLACEMENT_SIGMA,
+    SIGMA_CALIBRATION,
+    *STRAIN_VALUES,
+    *map(sigma_of, STRAIN_VALUES),
+    *PRINCIPAL_STRAINS,
+    VON_MISES,
+    TEXTURE,
+)
+"""Every value that the merged surface of a state can have."""
 DEVIATION_OVER_SIGMA: Final = f"{DEVIATION_VALUE} over sigma"

@@ -20,7 +20,7 @@ from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.registration import register_calibration
-from sms_jobs.jobs.scheduling.schedules import fire_due
+from sms_jobs.jobs.scheduling.firing import fire_due
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 
@@ -63,9 +63,9 @@ def test_schedules_are_followed(page: Browser, site: str, services: Services) ->
     watch(page, f"{site}/schedules")
     schedules.add(services, "nightly", "every 1h", Work("plate", ("simulate",)), zone="UTC", missed="skip")
     see(page, "schedules", "nightly")
-    fire_due(services.catalogue, datetime.now(UTC) + timedelta(hours=1, seconds=1))
+    fire_due(services.catalogue, services.archive, datetime.now(UTC) + timedelta(hours=1, seconds=1))
     see(page, "schedules", "submitted 2 jobs")
-    fire_due(services.catalogue, datetime.now(UTC) + timedelta(hours=2.5))
+    fire_due(services.catalogue, services.archive, datetime.now(UTC) + timedelta(hours=2.5))
     see(page, "schedules", "missed")
     schedules.set_paused(services, "nightly", True)
     see(page, "schedules", "paused")

@@ -10,7 +10,7 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import update
 from support.archives import Clock, registered
-from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
+from support.jobs import EMPTY, JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
@@ -22,7 +22,7 @@ from sms_jobs.jobs.archiving.registration import register_calibration
 from sms_jobs.jobs.monitoring import happenings
 from sms_jobs.jobs.recording import due_recordings, planned_recordings
 from sms_jobs.jobs.running import lifecycle
-from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling import firing, schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression
 from sms_jobs.jobs.scheduling.schedules import Order
 from sms_jobs.records.campaign import LoadState
@@ -160,7 +160,7 @@ def test_a_schedule_fires_misses_fails_and_is_held(catalogue: Catalogue) -> None
     with noted(catalogue) as found:
         schedules.add(catalogue, "night", parse_expression("every 1h", "UTC"), order, NOW, missed_fire="skip")
         for hours in (1.0, 1.0, 2.5):
-            schedules.fire_due(catalogue, NOW + hours * HOUR)
+            firing.fire_due(catalogue, EMPTY, NOW + hours * HOUR)
         for paused in (True, True, False):
             with catalogue.writing() as session:
                 schedules.set_paused(session, "night", paused)

@@ -7,7 +7,7 @@ from datetime import timedelta
 
 import pytest
 from sqlalchemy import select, update
-from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
+from support.jobs import EMPTY, JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
@@ -15,9 +15,10 @@ from sms_jobs.catalogue.tables.schedules import ScheduleFireRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling import firing, schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression
-from sms_jobs.jobs.scheduling.schedules import Fired, MissedFire, Order
+from sms_jobs.jobs.scheduling.firing import Fired
+from sms_jobs.jobs.scheduling.schedules import MissedFire, Order
 from sms_jobs.records.job import JobState
 
 HOUR = timedelta(hours=1)
@@ -30,7 +31,7 @@ def add(catalogue: Catalogue, text: str, order: Order = ORDER, missed_fire: Miss
 
 
 def fire(catalogue: Catalogue, hours: float) -> list[Fired]:
-    return schedules.fire_due(catalogue, NOW + hours * HOUR)
+    return firing.fire_due(catalogue, EMPTY, NOW + hours * HOUR)
 
 
 def outcomes(catalogue: Catalogue, hours: float) -> list[str]:

@@ -14,6 +14,7 @@ from sms_jobs.app.work import jobs, queues
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.running import lifecycle, recovery
+from sms_jobs.jobs.scheduling import firing
 from sms_jobs.jobs.scheduling import schedules as scheduling
 from sms_jobs.jobs.scheduling.schedules import Order
 from sms_jobs.records.people import Actor, Role
@@ -72,7 +73,7 @@ def test_a_schedule_names_itself(desk: Services) -> None:
     expression = scheduling.parse_expression("every 1h", "UTC")
     now = datetime.now(UTC)
     scheduling.add(desk.catalogue, "nightly", expression, Order("plate", tuple(WORK.requests)), now)
-    scheduling.fire_due(desk.catalogue, now + timedelta(hours=1))
+    firing.fire_due(desk.catalogue, desk.archive, now + timedelta(hours=1))
     assert {job.submitted_by for job in jobs.list_jobs(desk)} == {"schedule nightly"}
 
 

@@ -106,7 +106,7 @@ def records_for(need: Need, size: tuple[int, int]) -> Mapping[str, Any]:
 def mesh(cameras: tuple[str, ...] = ("C1",)) -> Mesh:
     corners = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
     return Mesh(
-        ("u",),
+        ("displacement X",),
         ("mm",),
         corners,
         np.array([[0, 1, 2]], np.int32),

@@ -297,6 +297,25 @@ def test_a_camera_that_measures_shape_has_no_plane_in_the_pipeline() -> None:
     assert {job.subject.view for job in asked} == {"C1P1", "C1"}
 
 
+def test_what_the_pipeline_leaves_out_is_to_be_submitted_as_well() -> None:
+    both = replace(CAMPAIGN, views=("C1P1", "C1"), scene=None)
+    gauges = Request("gauges", {"gauge": "G1 x=0 y=0 length=20"})
+
+    def recorded(need: Need) -> Existing | None:
+        return Existing(file_id=1) if need.source in (MEASUREMENT, CALIBRATION) else None
+
+    asked = [Request("pipeline"), gauges]
+    found = plan_possible(both, asked, recorded)
+    said = str(found.refused[0].error)
+    assert "needs the plane of hat/S00/C1, and there is none; the pipeline does not make it: " in said
+    assert said.endswith("'sms job submit plane -c hat', or set `view` to views other than C1")
+    # Both ways are ways.
+    assert plan(both, [*asked, Request("plane")], recorded)
+    assert plan(both, [replace(one, views=("C1P1",)) for one in asked], recorded)
+    with pytest.raises(NotFound, match=r"the correlate of hat/S01/C1P1.*; submit the pipeline, or the job"):
+        plan(both, [gauges], recorded)
+
+
 @pytest.mark.parametrize("kind", ["reconstruct", "mesh", "assess"])
 def test_a_kind_that_can_do_nothing_in_a_campaign_is_refused(kind: str) -> None:
     with pytest.raises(InvalidInput, match=f"{kind} has nothing to do .* C1 without a projector.*strain"):

@@ -75,6 +75,13 @@ def test_wrong_input_changes_nothing(home: Path, words: str, error: type[SmsErro
     assert json.loads(sms(home, "schedule", "list", "--json").stdout) == []
 
 
+def test_schedules_are_listed_with_the_unit_of_their_interval(home: Path) -> None:
+    sms(home, "schedule", "add", "hourly", "simulate", "-c", "plate", "--every", "3600s")
+    assert "every 1 h " in sms(home, "schedule", "list").stdout
+    (shown,) = json.loads(sms(home, "schedule", "list", "--json").stdout)
+    assert shown["expression"] == "every 3600"
+
+
 def test_what_has_not_ended_is_not_kept(home: Path) -> None:
     sms(home, "job", "submit", "simulate", "-c", "plate", "--run", "first")
     with pytest.raises(Conflict, match="2 jobs of run 'first' have not ended"):

@@ -12,7 +12,9 @@ from sms_jobs.app.specimens import campaigns
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
+from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.formats.importers.folders import natural
 from sms_jobs.records.people import Right
 from sms_jobs.records.quantity import quantities
 from sms_jobs.records.shown.files import FileView
@@ -130,6 +132,8 @@ def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileVie
             return [search.file_view(session, file)]
         if campaign is None:
             raise InvalidInput("a `kind` needs a `campaign`: add the campaign whose result is to be exported")
+        if state is not None:
+            definition(campaign_row(session, campaign)).state(state)
         found = search.find_files(
             session, source=kind, campaign=campaign, state=state, view=view, limit=_MOST_FILES
         )
@@ -146,7 +150,11 @@ def _views(services: Services, chosen: Chosen, out: Path | None) -> list[FileVie
         raise NotFound(
             f"campaign {campaign} has no such result of kind {kind}; 'sms data find -c {campaign}' shows all"
         )
-    return [view for subject in sorted(newest) for view in sorted(newest[subject], key=lambda v: v.path)]
+    return [
+        view
+        for subject in sorted(newest, key=natural)
+        for view in sorted(newest[subject], key=lambda v: natural(v.path))
+    ]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy.orm import Session
 
+from sms_jobs.app.fields.field_sources import no_part
 from sms_jobs.app.holdings.inputs import inputs_at
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
@@ -64,7 +65,7 @@ def gauge_at(services: Services, key: str, gauge: str, *, part: str | None = Non
     Raises
     ------
     NotFound
-        There is no such file.
+        There is no such file, or none of its displacements is of that camera.
     InvalidInput
         It was not computed from a displacement, or the gauge cannot be understood or says nothing there.
     ArchiveCorrupt
@@ -112,6 +113,9 @@ def _displacement(session: Session, file: FileView, camera: str) -> tuple[FileVi
     """Return the displacement that a file is or was computed from, and the shape that it started from."""
     moved = [file] if file.source == _MOVED else []
     moved += [one.file for one in family.ancestry(session, file).inputs if one.file.source == _MOVED]
+    cameras = tuple(dict.fromkeys(view_of(one.in_campaign().view).camera for one in moved))
+    if camera and cameras and camera not in cameras:
+        raise no_part(str(file.id), camera, cameras)
     for one in moved:
         if camera in ("", view_of(one.in_campaign().view).camera):
             shape = inputs_at(family.ancestry(session, one).inputs, AT_REST)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -107,7 +107,7 @@ def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
             f"file {key} is a {file.source} and has no field over an image; choose a measurement or a result"
         )
     if part and part not in parts:
-        raise NotFound(f"file {key} has no part '{part}'; it has {', '.join(parts)}")
+        raise no_part(key, part, parts)
     chosen = part or next(iter(parts))
     placed = parts[chosen]
     for quantity, along_x, others in (
@@ -133,6 +133,14 @@ def _lent(services: Services, other: FileView, quantity: str, placed: list[Place
         and one.size == placed[0].size
         and one.shown.name not in own
     ]
+
+
+def no_part(key: str, part: str, parts: Iterable[str]) -> NotFound:
+    """Return the error that says that a file has no such part, and which parts it has."""
+    known = ", ".join(filter(None, parts))
+    return NotFound(
+        f"file {key} has no part '{part}'; {f'it has {known}' if known else 'leave the part out'}"
+    )
 
 
 def _parts(services: Services, file: FileView) -> dict[str, list[Placed]]:

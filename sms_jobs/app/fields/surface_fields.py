@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import hypot
 from pathlib import Path
@@ -16,11 +17,12 @@ from sms_jobs.app.holdings.inputs import inputs_at
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, family, search
-from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.errors import InvalidInput, NotFound, did_you_mean
 from sms_jobs.kinds.port_names import AT_REST
 from sms_jobs.kinds.products import GAUGES, SURFACE
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.files import Ancestor, FileView
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import place_of_view
 
@@ -39,9 +41,10 @@ Place: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class Gauges:
-    """Virtual gauges, state by state, beside real ones."""
+    """Virtual gauges, state by state, beside real ones; `left_out` says which of these have no place."""
 
     rows: tuple[GaugeRow, ...]
+    left_out: tuple[str, ...] = ()
 
     @property
     def rms_difference(self) -> tuple[int, float] | None:
@@ -112,7 +115,7 @@ def gauges(
     NotFound
         There is no such campaign, or it has no virtual gauges.
     InvalidInput
-        The file cannot be read, or none of its gauges is a virtual one.
+        The file cannot be read, or none of its readings is of a virtual gauge and a state of the campaign.
     """
     # Many of those who load this module compute nothing.
     from sms_jobs.formats.gauge_descriptions import read_gauge_file
@@ -120,8 +123,36 @@ def gauges(
 
     given = None if readings is None else read_gauge_file(readings)
     virtual = _virtual(services, campaign, view)
-    real = _entered(services, campaign, {row.gauge for row in virtual}) if given is None else given
-    return Gauges(tuple(compared(virtual, real)))
+    if given is None:
+        return Gauges(tuple(compared(virtual, _entered(services, campaign, {row.gauge for row in virtual}))))
+    # What another view reads is known, too, and not asked for here.
+    known = virtual if view is None else _virtual(services, campaign, None)
+    real, left_out = _known(services, campaign, given, dict.fromkeys(row.gauge for row in known))
+    if given and not real:
+        raise InvalidInput(f"no reading of gauge file {readings} can be compared: {left_out[0]}")
+    return Gauges(tuple(compared(virtual, real)), left_out)
+
+
+def _known(
+    services: Services, campaign: str, given: Sequence[GaugeReading], gauges: Collection[str]
+) -> tuple[tuple[GaugeReading, ...], tuple[str, ...]]:
+    """Return the readings of states and gauges that there are, and what is to be said of the others."""
+    with services.catalogue.reading() as session:
+        states = [s.label for s in campaigns.definition(campaigns.campaign_row(session, campaign)).states]
+    real = tuple(one for one in given if one.state in states and one.gauge in gauges)
+    no_state = Counter(one.state for one in given if one.state not in states)
+    no_gauge = Counter(one.gauge for one in given if one.gauge not in gauges)
+    left_out = [
+        f"{number_of(count, 'reading')} at state {name}, which campaign {campaign} does not have; "
+        f"{did_you_mean(name, states)}'sms campaign show {campaign}' shows its own"
+        for name, count in no_state.items()
+    ]
+    left_out += [
+        f"{number_of(count, 'reading')} of gauge {name}, which is no virtual gauge of campaign {campaign}; "
+        f"{did_you_mean(name, gauges)}it has {', '.join(gauges)}"
+        for name, count in no_gauge.items()
+    ]
+    return real, tuple(left_out)
 
 
 def _virtual(services: Services, campaign: str, view: str | None) -> list[GaugeRow]:

@@ -17,8 +17,8 @@ from sms_jobs.jobs.asking.inquiry import Event, JobView
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.estimates import estimate_planned, outlook
-from sms_jobs.jobs.planning.gauge_places import check_gauges
 from sms_jobs.jobs.planning.graph import PIPELINE, Refused, Request, given_parameters
+from sms_jobs.jobs.planning.refusals import check_jobs
 from sms_jobs.jobs.planning.submission import Submission, Terms, draft, enter, while_outdated
 from sms_jobs.jobs.planning.turns import planning_turn
 from sms_jobs.jobs.running import crowds, orders
@@ -148,7 +148,7 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
         There is no such campaign or kind, or every state lacks something.
     InvalidInput
         A parameter, state or view is not one of them, a gauge lies outside of the images or off the surfaces
-        that it is read from, or the run cannot have that name.
+        that it is read from, a region has no pixel of its image, or the run cannot have that name.
     Conflict
         The run is kept as it is.
     """
@@ -159,7 +159,7 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     def attempt() -> tuple[Submission, Estimate, tuple[Refused, ...]]:
         with services.catalogue.reading() as session:
             planned = draft(session, work.campaign, requests, now, terms)
-            check_gauges(session, services.archive, work.campaign, planned.jobs)
+            check_jobs(session, services.archive, work.campaign, planned.jobs)
             ahead = estimate_planned(session, planned, now, services.settings.workers)
         if dry_run:
             return planned.submission, ahead, planned.refused

@@ -5,19 +5,24 @@ from __future__ import annotations
 import re
 import time
 from calendar import monthrange
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
-from sms_jobs.errors import InvalidInput
-from sms_jobs.jobs.planning.gauge_places import check_requests
+from sms_jobs.errors import InvalidInput, NotFound
+from sms_jobs.jobs.planning.refusals import check_requests
 from sms_jobs.jobs.scheduling import schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression, zone_named
 from sms_jobs.jobs.scheduling.schedules import MissedFire, Order, ScheduleView
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.schedules import FiringsOfDay
+
+if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
 
 _MONTH = re.compile(r"2[01]\d\d-(0[1-9]|1[0-2])")
 
@@ -55,7 +60,8 @@ def add(
     Raises
     ------
     InvalidInput
-        The time or the work cannot be understood, or no view of the campaign can read a gauge.
+        The time or the work cannot be understood, no view of the campaign can read a gauge, or a region has
+        no pixel of its image.
     NotFound
         There is no such campaign or kind.
     Conflict
@@ -67,12 +73,25 @@ def add(
     requests = tuple(work.requests)
     order = Order(work.campaign, requests, work.priority, work.use_cache, work.run, where)
     now = datetime.now(UTC)
-    if where is None:
-        with services.catalogue.reading() as session:
-            check_requests(session, services.archive, work.campaign, requests)
+    with services.catalogue.reading() as session:
+        _refuse_what_fails(services, session, order)
     schedules.add(services.catalogue, name, expression, order, now, missed_fire=missed, grace=grace)
     with services.catalogue.reading() as session:
         return schedules.first_fire(session, name, now)
+
+
+def _refuse_what_fails(services: Services, session: Session, order: Order) -> None:
+    """Refuse an order that could only fail as its campaigns are now; of several one is enough to do."""
+    errors = []
+    found = schedules.campaigns_of(session, order)
+    for campaign, states in found.items():
+        asked = [replace(one, states=states) for one in order.requests] if states else order.requests
+        try:
+            check_requests(session, services.archive, campaign, asked)
+        except (InvalidInput, NotFound) as error:
+            errors.append(error)
+    if len(errors) == len(found):
+        raise errors[0]
 
 
 @use_case(Right.READ)

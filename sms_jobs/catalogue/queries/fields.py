@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from functools import cache, cached_property
 from typing import Any, Literal
 
@@ -21,6 +20,7 @@ from sms_jobs.catalogue.queries.language import Name, Test, refuse
 from sms_jobs.catalogue.queries.names import Field, Resolver, Source, Type, built_in, listed, stored_name
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, ResultRow, StatisticRow
+from sms_jobs.errors import did_you_mean
 
 
 class Vocabulary:
@@ -185,9 +185,8 @@ class Fields:
         if kind.text in there or kind.text in self._vocabulary.kinds:
             return
         kinds = sorted(self._vocabulary.kinds | there)
-        near = get_close_matches(kind.text, kinds, n=1, cutoff=0.5)
-        hint = f"; did you mean '{near[0]}'" if near else ""
-        refuse(text, kind.at, f"there is no kind '{kind.text}'{hint}; there are {listed(kinds)}")
+        meant = did_you_mean(kind.text, kinds, 0.5)
+        refuse(text, kind.at, f"there is no kind '{kind.text}'; {meant}there are {listed(kinds)}")
 
     def names(self, space: str = "") -> list[str]:
         """Return all names, or those behind `statistic.`, `channel.` or `param.`."""

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from sms_jobs.app.importing.readings import Arranged
 
 _FINDINGS = 6
-_MOST_SHOWN = 20
 
 File = Annotated[Path, typer.Argument(help="CSV file with a header.")]
 Maps = Annotated[
@@ -131,10 +130,7 @@ def _tell(entered: Arranged, campaign: str, dry_run: bool, as_json: bool) -> Non
     else:
         for remark in remarks:
             output.say(remark)
-        for text in entered.left_out[:_MOST_SHOWN]:
-            output.say(f"left out: {text}")
-        if len(entered.left_out) > _MOST_SHOWN:
-            output.say(f"left out: {len(entered.left_out) - _MOST_SHOWN} more; --json lists all")
+        output.say_left_out(entered.left_out)
         for change in entered.changes:
             output.print_sentence(change)
         end = f"campaign {campaign} is brought up to date"

@@ -12,8 +12,8 @@ from sms_jobs.catalogue import search
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.subject_files import newest_file
 from sms_jobs.errors import InvalidInput, SmsError
-from sms_jobs.jobs.planning.graph import Existing, PlannedJob, Request, plan
-from sms_jobs.kinds.kind import MEASUREMENT, Need
+from sms_jobs.jobs.planning.graph import PlannedJob
+from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.port_names import AT_REST
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 R = TypeVar("R")
 
 _READS, _LOOK, _STRAIN = "gauges", "quick-look", "strain"
-_IN_PIXELS = "gauge_length_px"
+IN_PIXELS = "gauge_length_px"
+"""Of strain, which cameras alone take."""
+KINDS = (_READS, _LOOK)
+"""Those that read gauges."""
 
 
 def check_gauges(session: Session, archive: Archive, campaign: str, jobs: Sequence[PlannedJob]) -> None:
@@ -59,30 +62,14 @@ def _refuse_pixels(session: Session, campaign: str, jobs: Sequence[PlannedJob]) 
     """Refuse a gauge length of strain in pixels where all views measure surfaces, which take theirs in mm."""
     strain = next((job for job in jobs if job.kind.name == _STRAIN), None)
     given = {} if strain is None else strain.parameters.model_dump()
-    if given.get(_IN_PIXELS) is None or given["gauge_length_mm"] is not None:
+    if given.get(IN_PIXELS) is None or given["gauge_length_mm"] is not None:
         return
     views = definition(campaign_row(session, campaign)).views
     if all(view_of(view).measures_shape for view in views):
         raise InvalidInput(
-            f"{_IN_PIXELS} is {given[_IN_PIXELS]:g}, which cameras alone take, and {campaign} has none "
+            f"{IN_PIXELS} is {given[IN_PIXELS]:g}, which cameras alone take, and {campaign} has none "
             f"beside {', '.join(views)}: give gauge_length_mm"
         )
-
-
-def check_requests(session: Session, archive: Archive, campaign: str, requests: Sequence[Request]) -> None:
-    """Refuse requests as `check_gauges` refuses the jobs that they would come to now; `InvalidInput`.
-
-    Nothing else has to be there yet.
-    """
-    given = {name.rpartition(".")[2] for request in requests for name in request.parameters}
-    if not any(request.kind in (_READS, _LOOK) for request in requests) and _IN_PIXELS not in given:
-        return
-
-    def find(need: Need) -> Existing:
-        return Existing(newest_file(session, need.source, need.subject, DATASET_MEDIA_TYPE) or 0)
-
-    defined = definition(campaign_row(session, campaign))
-    check_gauges(session, archive, campaign, plan(defined, requests, find))
 
 
 def check_looked_at(

@@ -364,15 +364,28 @@ def _existing(campaign: Campaign, need: Need, find: Callable[[Need], Existing | 
                 f"there is none; bring one in with 'sms calibration import FILE --rig {campaign.rig}', or "
                 "certify one that was measured"
             )
-        raise NotFound(f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(need)}")
+        raise NotFound(
+            f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(campaign, need)}"
+        )
     return existing
 
 
-def _way_to(need: Need) -> str:
+def _way_to(campaign: Campaign, need: Need) -> str:
     if need.source == REFERENCE_SURFACES:
         return f"bring one in with 'sms import surface FILE -c {need.subject.campaign}'"
     if need.source == MEASUREMENT:
         return "record or simulate it, or bring it in with 'sms import'"
+    kind = kind_named(need.source)
+    made = covering(kind, need.subject)
+    # Of another campaign nothing is known here but its name.
+    if made in default_subjects(kind, campaign) and made not in pipeline_subjects(kind, campaign):
+        others = (
+            f", or set `view` to views other than {made.view}" if made.view and campaign.views[1:] else ""
+        )
+        return (
+            f"the pipeline does not make it: submit {kind.name} as well, as in "
+            f"'sms job submit {kind.name} -c {campaign.name}'{others}"
+        )
     return "submit the pipeline, or the job that makes it first"
 
 

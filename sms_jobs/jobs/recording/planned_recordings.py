@@ -18,7 +18,7 @@ from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_id, state_ids
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, RigRow
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow, PlannedRecordingRow
-from sms_jobs.errors import Conflict, InvalidInput, NotFound
+from sms_jobs.errors import Conflict, InvalidInput, NotFound, did_you_mean
 from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.records import triggers
 from sms_jobs.records.gauge_limits import NO_LOOK, Look
@@ -137,7 +137,10 @@ def put(
     changes.of_recordings(session, campaign, [label for label, _ in wanted], "planned")
     for label, trigger in wanted:
         if label not in known:
-            raise NotFound(f"campaign {campaign} has no state {label}; 'sms campaign add-state' adds one")
+            meant = did_you_mean(label, known)
+            raise NotFound(
+                f"campaign {campaign} has no state {label}; {meant}'sms campaign add-state' adds one"
+            )
         values = {"trigger": triggers.as_json(trigger), "ask": ask, "process": process, **_looked_at(look)}
         said = {"planned_at": now, "planned_by": by, "seen": None, "seen_at": None, "note": None}
         found = there.get(label)
@@ -346,8 +349,10 @@ def _next_label(session: Session, campaign: str) -> list[str]:
 def _of(rows: Sequence[Planned], campaign: str, label: str) -> Planned:
     found = next((one for one in rows if one.label == label), None)
     if found is None:
-        names = ", ".join(one.label for one in rows) or "none"
-        raise NotFound(f"nothing is planned of {campaign}/{label}; planned are {names}")
+        names = [one.label for one in rows]
+        meant = did_you_mean(label, names)
+        planned = ", ".join(names) or "none"
+        raise NotFound(f"nothing is planned of {campaign}/{label}; {meant}planned are {planned}")
     return found
 
 

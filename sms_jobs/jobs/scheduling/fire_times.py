@@ -43,6 +43,11 @@ class Expression:
     def __str__(self) -> str:
         return f"{self.form} {self.what}"
 
+    @property
+    def in_words(self) -> str:
+        """As people read it: "every 2 h" instead of its seconds, which are kept."""
+        return f"every {_interval(float(self.what))}" if self.form == "every" else str(self)
+
 
 def parse_expression(text: str, zone: str) -> Expression:
     """Read an expression.
@@ -94,6 +99,7 @@ def _moment(text: str, zone: ZoneInfo) -> datetime:
 
 
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+_IN_WORDS = {"m": "min"}
 
 
 def _seconds(text: str) -> float:
@@ -108,6 +114,12 @@ def _seconds(text: str) -> float:
             f"and at most {_LONGEST_INTERVAL_S / 86400.0:g} d"
         )
     return seconds
+
+
+def _interval(seconds: float) -> str:
+    """Write an interval in the largest unit of which it is a whole number; nothing of it is rounded away."""
+    unit = next((unit for unit in reversed(_UNITS_S) if not seconds % _UNITS_S[unit]), "s")
+    return f"{seconds / _UNITS_S[unit]:.15g} {_IN_WORDS.get(unit, unit)}"
 
 
 def fire_times(expression: Expression, began: datetime, after: datetime) -> Iterator[datetime]:

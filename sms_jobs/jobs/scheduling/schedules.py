@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from functools import partial
 from itertools import islice, takewhile
@@ -11,31 +11,22 @@ from operator import gt
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from zoneinfo import ZoneInfo
 
-from sqlalchemy import and_, delete, exists, func, select
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, changes
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.schedules import ScheduleFireRow, ScheduleRow
-from sms_jobs.errors import Conflict, InvalidInput, NotFound, ServerUnreachable, SmsError
-from sms_jobs.jobs.asking import runs
+from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.jobs.asking.found_states import states_to_submit
-from sms_jobs.jobs.notifying import occurrences
-from sms_jobs.jobs.planning.graph import Existing, Request, given_parameters, plan
-from sms_jobs.jobs.planning.submission import Draft, Terms, draft, enter, while_outdated
+from sms_jobs.jobs.planning.graph import Existing, Request, plan
 from sms_jobs.jobs.scheduling.fire_times import (
     Expression,
     fire_times,
     next_times,
     parse_expression,
-    times_until,
 )
-from sms_jobs.records.job import ACTIVE
-from sms_jobs.records.shown.notifications import Topic
 from sms_jobs.records.shown.schedules import MOST_A_DAY, FiringsOfDay
-from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import checked_name
 
 if TYPE_CHECKING:
@@ -43,9 +34,6 @@ if TYPE_CHECKING:
 
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
-
-_MOST_AT_ONCE = 100
-"""Fire times of one schedule that are looked at in one go; older ones are as if they had never been."""
 
 
 @dataclass(frozen=True)
@@ -111,14 +99,10 @@ class ScheduleView:
     last_outcome: str | None
     next_fire: datetime | None
 
-
-@dataclass(frozen=True)
-class Fired:
-    """What became of one fire time."""
-
-    schedule: str
-    fire_time: datetime
-    outcome: str
+    @property
+    def when(self) -> str:
+        """Its expression as people read it."""
+        return parse_expression(self.expression, self.time_zone).in_words
 
 
 def add(
@@ -149,10 +133,10 @@ def add(
     """
     checked_name(name, "schedule")
     if order.run is not None:
-        checked_name(_run_of(order.run, expression, now), "run")
+        checked_name(run_of(order.run, expression, now), "run")
     with catalogue.reading() as session:
         _refuse_taken(session, name)
-        found = _campaigns(session, order)
+        found = campaigns_of(session, order)
         definitions = [campaigns.definition(campaigns.campaign_row(session, one)) for one in found]
         if expression.form == "after":
             campaigns.campaign_id(session, expression.what)
@@ -183,7 +167,7 @@ def add(
         changes.of_schedule(session, name, order.campaign, "added")
 
 
-def _campaigns(session: Session, order: Order) -> dict[str, tuple[str, ...]]:
+def campaigns_of(session: Session, order: Order) -> dict[str, tuple[str, ...]]:
     """Return the campaigns of an order with the states that it chooses; none for those that it names."""
     return {order.campaign: ()} if order.where is None else states_to_submit(session, order.where)
 
@@ -196,7 +180,7 @@ def _objection(campaign: Campaign, order: Order) -> SmsError | None:
     return None
 
 
-def _run_of(run: str, expression: Expression, moment: datetime) -> str:
+def run_of(run: str, expression: Expression, moment: datetime) -> str:
     """Return the name of the run of a firing: each has its own, since runs are there to be compared."""
     if expression.form in ("at", "after"):
         return run
@@ -235,7 +219,7 @@ def schedules(session: Session, now: datetime) -> list[ScheduleView]:
             .order_by(ScheduleFireRow.fire_time.desc())
             .limit(1)
         ).one_or_none()
-        coming = [] if row.paused else next_times(_expression(row), row.created_at, now, 1)
+        coming = [] if row.paused else next_times(expression_of(row), row.created_at, now, 1)
         views.append(
             ScheduleView(
                 name=row.name,
@@ -257,14 +241,14 @@ def schedules(session: Session, now: datetime) -> list[ScheduleView]:
 def coming(session: Session, name: str, now: datetime, count: int) -> list[datetime]:
     """Return the next times of a schedule; none for one that waits for a campaign."""
     row = _required(session, name)
-    return next_times(_expression(row), row.created_at, now, count)
+    return next_times(expression_of(row), row.created_at, now, count)
 
 
 def calendar(session: Session, first: date, days: int, zone: ZoneInfo, now: datetime) -> list[FiringsOfDay]:
     """Return when schedules that are not paused fire on days of a zone, later than `now`, day by day."""
     found = []
     for row in session.scalars(select(ScheduleRow).where(ScheduleRow.paused.is_(False))):
-        expression, order = _expression(row), Order.from_json(row.request)
+        expression, order = expression_of(row), Order.from_json(row.request)
         about = (row.name, order.about, tuple(r.kind for r in order.requests))
         after = max(now, _midnight(first, zone) - timedelta(microseconds=1))
         for day in (first + timedelta(days=k) for k in range(days)):
@@ -287,155 +271,12 @@ def first_fire(session: Session, name: str, now: datetime) -> datetime | None:
     A time given to the minute may have just passed: it is due.
     """
     row = _required(session, name)
-    since = now - timedelta(seconds=row.grace_s if _expression(row).form == "at" else 0.0)
-    return next(iter(next_times(_expression(row), row.created_at, since, 1)), None)
+    since = now - timedelta(seconds=row.grace_s if expression_of(row).form == "at" else 0.0)
+    return next(iter(next_times(expression_of(row), row.created_at, since, 1)), None)
 
 
-def fire_due(catalogue: Catalogue, now: datetime) -> list[Fired]:
-    """Submit what is due, and say what became of every time that has passed.
-
-    Several supervisors may call it at once: a time belongs to whoever enters it first. Nothing is written
-    while nothing is due, and what is due is planned before it is.
-    """
-    fired = []
-    with catalogue.reading() as session:
-        due = _due(session, now)
-    for one in due:
-        outcome = while_outdated(partial(_fire, catalogue, one, now))
-        if outcome is not None:
-            fired.append(Fired(one.schedule, one.moment, outcome))
-    return fired
-
-
-@dataclass(frozen=True)
-class _Due:
-    """A time that has passed, and what is to become of it; `run` is what the jobs are submitted under."""
-
-    schedule_id: int
-    schedule: str
-    order: Order
-    moment: datetime
-    outcome: Literal["submit", "missed"]
-    run: str | None
-
-
-def _due(session: Session, now: datetime) -> list[_Due]:
-    rows = session.scalars(select(ScheduleRow).where(ScheduleRow.paused.is_(False))).all()
-    found = []
-    for row in rows:
-        order = Order.from_json(row.request)
-        for moment, outcome in _decided(row, _passed(session, row, now), now):
-            run = None if order.run is None else _run_of(order.run, _expression(row), moment)
-            found.append(_Due(row.id, row.name, order, moment, outcome, run))
-    return found
-
-
-def _passed(session: Session, row: ScheduleRow, now: datetime) -> list[datetime]:
-    """Return the times of a schedule that have passed since the last one that was dealt with."""
-    expression = _expression(row)
-    last = session.scalar(
-        select(func.max(ScheduleFireRow.fire_time)).where(ScheduleFireRow.schedule_id == row.id)
-    )
-    if expression.form == "after":
-        return [row.created_at] if last is None and _has_ended(session, expression.what) else []
-    # A time given to the minute may be a little before the schedule was entered.
-    since = last or row.created_at - timedelta(seconds=row.grace_s if expression.form == "at" else 0.0)
-    return times_until(expression, row.created_at, since, now, _MOST_AT_ONCE)
-
-
-def _has_ended(session: Session, campaign: str) -> bool:
-    """Tell whether a campaign has had jobs and all of them have ended."""
-    of_campaign = JobRow.campaign_id == campaigns.campaign_id(session, campaign)
-    active = exists().where(of_campaign, JobRow.state.in_(ACTIVE))
-    return bool(session.scalar(select(and_(exists().where(of_campaign), ~active))))
-
-
-def _decided(
-    row: ScheduleRow, times: Sequence[datetime], now: datetime
-) -> list[tuple[datetime, Literal["submit", "missed"]]]:
-    """Return what is to become of each time: those in time are submitted, the others by the policy."""
-    grace = timedelta(seconds=row.grace_s)
-    waits = _expression(row).form == "after"
-    late = [] if waits else [t for t in times if now - t > grace]
-    rescued: list[datetime] = {"skip": [], "once": late[-1:], "all": late}[row.missed_fire]
-    # Of missed times one run is enough when another is due anyway.
-    if row.missed_fire == "once" and len(late) < len(times):
-        rescued = []
-    return [(t, "missed" if t in late and t not in rescued else "submit") for t in times]
-
-
-def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
-    """Enter a time and its jobs; None when another supervisor was faster, or the schedule is gone."""
-    planned: tuple[Draft, ...] = ()
-    outcome: str = due.outcome
-    refused = False
-    if due.outcome == "submit":
-        planned, outcome, refused = _planned(catalogue, due, now)
-    with catalogue.writing() as session:
-        try:
-            with session.begin_nested():
-                session.add(
-                    ScheduleFireRow(schedule_id=due.schedule_id, fire_time=due.moment, outcome=outcome)
-                )
-        except IntegrityError:
-            return None
-        for one in planned:
-            done = enter(session, one)
-            if due.run is not None and done.job_ids:
-                asked = given_parameters(due.order.requests)
-                runs.enter(session, due.run, done, asked, now, _by(due.schedule))
-        became = "missed" if due.outcome == "missed" else "fired" if planned else "failed"
-        changes.of_schedule(session, due.schedule, due.order.campaign, became, outcome)
-        if not planned or refused:
-            what = f"schedule {due.schedule}, {due.moment.isoformat(timespec='minutes')}"
-            occurrences.enter(session, Topic.SCHEDULE_MISSED, due.order.campaign, what, now, outcome)
-    return outcome
-
-
-def _by(schedule: str) -> str:
-    return f"schedule {schedule}"
-
-
-def _planned(catalogue: Catalogue, due: _Due, now: datetime) -> tuple[tuple[Draft, ...], str, bool]:
-    """Return what can be planned of an order, what to say of it, and whether anything was refused."""
-    drafts: list[Draft] = []
-    refused: list[str] = []
-    try:
-        with catalogue.reading() as session:
-            if due.run is not None:
-                runs.require_open(session, due.run)
-            for campaign, states in _campaigns(session, due.order).items():
-                try:
-                    drafts.append(_draft(session, due, campaign, states, now))
-                except (InvalidInput, NotFound) as error:
-                    if due.order.where is None:
-                        raise
-                    refused.append(f"{campaign}: {error}")
-    except ServerUnreachable:
-        raise
-    except SmsError as error:
-        return (), f"failed: {error}", True
-    if not drafts:
-        return (), f"failed: {refused[0]}", True
-    refused += [f"{one.subject}: {one.error}" for made in drafts for one in made.refused]
-    outcome = f"submitted {number_of(sum(len(made.jobs) for made in drafts), 'job')}"
-    if refused:
-        first, others = refused[0], len(refused) - 1
-        subject, _, why = first.partition(": ")
-        outcome += f"; refused {subject}{f' and {others} more' if others else ''}: {why}"
-    return tuple(drafts), outcome, bool(refused)
-
-
-def _draft(session: Session, due: _Due, campaign: str, states: tuple[str, ...], now: datetime) -> Draft:
-    order = due.order
-    chosen = order.requests
-    if order.where is not None:
-        chosen = tuple(replace(request, states=states) for request in chosen)
-    terms = Terms(order.priority, order.use_cache, _by(due.schedule))
-    return draft(session, campaign, chosen, now, terms)
-
-
-def _expression(row: ScheduleRow) -> Expression:
+def expression_of(row: ScheduleRow) -> Expression:
+    """Return when a schedule fires."""
     return parse_expression(row.expression, row.time_zone)
 
 

@@ -84,13 +84,19 @@ def read_reference(inputs: Inputs, ports: StatePorts, parameters: CorrelateParam
     shape = surface.reason.shape
     chosen = np.ones(shape, dtype=bool)
     if parameters.region_of_interest:
-        chosen = inside_outlines(parse_outlines(parameters.region_of_interest), shape)
-        if not chosen.any():
-            raise InvalidInput(
-                f"the region of interest '{parameters.region_of_interest}' leaves no pixel of "
-                f"{inputs.subject}, whose image has {shape[1]} x {shape[0]} px; give outlines inside it"
-            )
+        chosen = pixels_of_interest(parameters.region_of_interest, shape, inputs.subject)
     return _state(inputs, ports, surface, parameters, chosen)
+
+
+def pixels_of_interest(region: str, shape: tuple[int, int], subject: Subject) -> NDArray[np.bool_]:
+    """Return which pixels (rows, columns) are of interest; `InvalidInput` where none is."""
+    chosen = inside_outlines(parse_outlines(region), shape)
+    if not chosen.any():
+        raise InvalidInput(
+            f"the region of interest '{region}' leaves no pixel of {subject}, whose image has "
+            f"{shape[1]} x {shape[0]} px; give outlines inside it"
+        )
+    return chosen
 
 
 def read_later(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from sms_jobs.errors import InvalidInput, did_you_mean
 from sms_jobs.formats.exporters import all_exporters, exporter_named
 from sms_jobs.formats.exporters.exporter import Exporter
 from sms_jobs.formats.exporters.sources import source_for
@@ -30,7 +31,7 @@ from sms_jobs.kinds.parameters import Parameters
 from sms_jobs.kinds.products import MEASURED, MERGED, MESH
 from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign
-from sms_jobs.records.field_names import TEXTURE
+from sms_jobs.records.field_names import IN_SPACE, MERGED_VALUES, TEXTURE
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
@@ -72,9 +73,29 @@ class ExportParameters(Parameters):
             raise ValueError(f"there is no format {unknown[0]}; choose among {', '.join(all_exporters())}")
         return tuple(dict.fromkeys(formats))
 
+    @field_validator("fields")
+    @classmethod
+    def _known(cls, fields: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [name for name in fields if name not in MERGED_VALUES]
+        if unknown:
+            meant = did_you_mean(unknown[0], MERGED_VALUES)
+            raise ValueError(
+                f"there is no value '{unknown[0]}'; {meant}choose among {', '.join(MERGED_VALUES)}"
+            )
+        return fields
+
 
 def needs(campaign: Campaign, subject: Subject, parameters: ExportParameters) -> Iterable[Need]:
-    """Return the merged result of the state, and each camera's texture at rest."""
+    """Return the merged result of the state, and each camera's texture at rest.
+
+    Raises `InvalidInput` for a value that the image of a camera alone has not.
+    """
+    in_space = next((name for name in parameters.fields if name in IN_SPACE), None)
+    if in_space is not None and campaign.cameras_alone:
+        raise InvalidInput(
+            f"fields has '{in_space}', which the image of {campaign.cameras_alone[0]} alone does not have; "
+            f"choose among {', '.join(name for name in MERGED_VALUES if name not in IN_SPACE)}"
+        )
     yield _MERGED.of(subject)
     at_rest = replace(subject, state=campaign.reference.label)
     for views in campaign.views_by_camera().values():

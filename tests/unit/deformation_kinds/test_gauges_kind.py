@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.command import answer, inside
 from support.homes import initialised
 
 from sms_jobs import bootstrap
@@ -97,7 +98,9 @@ def test_the_command_says_which_gauges_read_nothing_and_where(
     ]
 
 
-def test_readings_are_in_the_order_of_the_test(home: Path) -> None:
+@pytest.fixture
+def read(home: Path) -> Path:
+    """A home with what a gauge reads at three states, of which the last was computed first."""
     initialised(home)
     calibration, plate = small_plate("plate")
     rest, moved = plate.states
@@ -120,8 +123,35 @@ def test_readings_are_in_the_order_of_the_test(home: Path) -> None:
                     {GAUGES.stored_as: one}, brought_in("gauges", Subject("plate", label, "C1P1"), now)
                 )
             batch.enter()
+    return home
+
+
+def test_readings_are_in_the_order_of_the_test(read: Path) -> None:
+    with bootstrap.services(read) as services:
         found = surface_fields.gauges(services, "plate")
     assert [row.state for row in found.rows] == ["S9", "S10", "after"]
+
+
+def test_readings_of_no_state_and_no_gauge_are_told_and_left_out(read: Path, tmp_path: Path) -> None:
+    file = tmp_path / "real.csv"
+    words = ("data", "gauges", "-c", "plate", "--readings", str(file), "--home", str(read))
+    no_state = (
+        "1 reading at state s9, which campaign plate does not have; did you mean 'S9'; "
+        "'sms campaign show plate' shows its own"
+    )
+    no_gauge = (
+        "2 readings of gauge SG1, which is no virtual gauge of campaign plate; did you mean 'G1'; it has G1"
+    )
+    file.write_text("state,gauge,microstrain\nS9,G1,10\ns9,G1,10\nS9,SG1,5\nS10,SG1,5\nS00,G1,0\n")
+    done = inside(*words)
+    assert done.returncode == 0
+    assert done.stderr.splitlines()[:2] == [f"left out: {no_state}", f"left out: {no_gauge}"]
+    assert "rms difference of 1 reading: 10.0 microstrain" in done.stderr
+    assert answer(*words)["left_out"] == [no_state, no_gauge]
+    file.write_text("state,gauge,microstrain\nS9,SG1,5\nS10,SG1,5\n")
+    refused = inside(*words)
+    assert refused.returncode == 2
+    assert f"no reading of gauge file {file} can be compared: {no_gauge}" in refused.stderr
 
 
 def test_gauges_are_drawn() -> None:

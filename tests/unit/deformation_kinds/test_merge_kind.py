@@ -10,6 +10,7 @@ import pytest
 
 from sms_jobs.kinds.deformation import merge
 from sms_jobs.metrology.deformation.joining.merging import correlation_of_pairs
+from sms_jobs.records.field_names import MERGED_VALUES, SIGMA_CALIBRATION, TEXTURE
 from sms_jobs.records.reasons import Reason
 
 
@@ -68,6 +69,9 @@ def test_the_mesh_covers_the_plate_and_looks_outwards(plate: Any) -> None:
     to_camera = plate.calibration.rig.sensor("C1").pose.centre() - a
     assert (np.sum(cross * to_camera, axis=1) > 0).all()
     assert len(mesh.value_names) == len(mesh.value_units) == len(mesh.values)
+    # But for the texture, which is lent to it where it is exported, and what no calibration says here.
+    known = tuple(name for name in MERGED_VALUES if name not in (TEXTURE, SIGMA_CALIBRATION))
+    assert mesh.value_names == known
     assert np.isfinite(mesh.values[:5]).all()
     length = mesh.values[mesh.value_names.index("displacement")]
     np.testing.assert_allclose(length, np.linalg.norm(mesh.values[:3], axis=0))

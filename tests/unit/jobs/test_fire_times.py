@@ -66,6 +66,22 @@ def test_an_expression_reads_itself_back(text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("every 3600", "every 1 h"),
+        ("every 90m", "every 90 min"),
+        ("every 100s", "every 100 s"),
+        ("every 2.5s", "every 2.5 s"),
+        ("every 48h", "every 2 d"),
+        ("every 12d", "every 12 d"),
+        ("cron 0 2 * * *", "cron 0 2 * * *"),
+    ],
+)
+def test_an_interval_is_shown_with_its_unit_and_not_rounded(text: str, shown: str) -> None:
+    assert parse_expression(text, "UTC").in_words == shown
+
+
+@pytest.mark.parametrize(
     ("text", "zone", "complaint"),
     [
         ("cron 61 2 * * *", "UTC", "no cron expression"),

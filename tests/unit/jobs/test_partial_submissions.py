@@ -18,7 +18,7 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow
 from sms_jobs.jobs.planning.graph import Request
-from sms_jobs.jobs.scheduling import schedules
+from sms_jobs.jobs.scheduling import firing, schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression
 from sms_jobs.jobs.scheduling.schedules import Order
 
@@ -119,6 +119,6 @@ def test_a_schedule_submits_the_others_and_tells(recorded: Path) -> None:
     with bootstrap.services(recorded) as services:
         catalogue = services.catalogue
         schedules.add(catalogue, "nightly", parse_expression("every 1h", "UTC"), order, NOW)
-        (fired,) = schedules.fire_due(catalogue, NOW + timedelta(hours=1, minutes=1))
+        (fired,) = firing.fire_due(catalogue, services.archive, NOW + timedelta(hours=1, minutes=1))
     assert f"jobs; refused plate/{LACKING} and 1 more: " in fired.outcome
     assert submitted(recorded).total() > 0

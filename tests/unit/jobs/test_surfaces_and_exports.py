@@ -15,6 +15,8 @@ from support.archives import entered
 from support.homes import WHEN, initialised, make_home, stored
 
 from sms_jobs import bootstrap
+from sms_jobs.app.fields.field_gauges import gauge_at
+from sms_jobs.app.fields.field_sources import fields_of
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search
 from sms_jobs.cli import exporting
@@ -179,6 +181,16 @@ def test_the_newest_of_a_kind_of_each_subject(services: Services, home: Path, he
     assert page.read_text() == "<p>page</p>"
 
 
+def test_several_results_are_written_in_their_natural_order(
+    services: Services, home: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, view in enumerate(("C10P1", "C2P1", "C1P1")):
+        stored(services, "reconstruct", f"plate/S00/{view}", {"surface": cloud()}, number)
+    export(home, kind="reconstruct", campaign="plate", form="xyz", as_json=True)
+    written = [Path(name).name for name in json.loads(capsys.readouterr().out)["files"]]
+    assert written == [f"plate-S00-{view}-reconstruct.xyz" for view in ("C1P1", "C2P1", "C10P1")]
+
+
 def test_sealed_files_of_several_subjects_have_names_of_their_own_and_are_all_written_or_none(
     services: Services, home: Path, here: Path
 ) -> None:
@@ -271,3 +283,15 @@ def test_formats_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"format": "ply", "suffix": ".ply", "summary": exporter_named("ply").summary} in told
     exporting.formats()
     assert "tecplot-block" in capsys.readouterr().out
+
+
+def test_a_gauge_on_a_part_that_a_file_lacks_is_refused_with_those_it_has(services: Services) -> None:
+    number = str(stored(services, "correlate", "plate/S01/C1P1", {"surface": cloud()}))
+    for part, has in (("C9", "C1"), ("c1", "C1")):
+        with pytest.raises(NotFound, match=f"^file {number} has no part '{part}'; it has {has}$"):
+            gauge_at(services, number, "G1 x=4 y=3 length=4", part=part)
+    other = str(stored(services, "reconstruct", "plate/S01/C1P1", {"surface": cloud()}))
+    with pytest.raises(InvalidInput, match="computed from no displacement"):
+        gauge_at(services, other, "G1 x=4 y=3 length=4", part="C9")
+    with pytest.raises(NotFound, match=f"^file {other} has no part 'C9'; leave the part out$"):
+        fields_of(services, other, "C9")

@@ -255,10 +255,22 @@ def test_export_of_what_has_no_value_writes_nothing_and_says_so(run: Run) -> Non
 
 
 def test_export_writes_the_fields_that_are_asked_for(run: Run) -> None:
-    ((_, path),) = run(export.KIND, campaign(), Subject("plate", "S01"), formats=("csv",), fields=("u",))
-    assert path.read_text().splitlines()[0] == '"X [mm]","Y [mm]","Z [mm]","u [mm]"'
+    chosen = ("displacement X",)
+    ((_, path),) = run(export.KIND, campaign(), Subject("plate", "S01"), formats=("csv",), fields=chosen)
+    assert path.read_text().splitlines()[0] == '"X [mm]","Y [mm]","Z [mm]","displacement X [mm]"'
 
 
 def test_export_names_the_fields_that_there_are(run: Run) -> None:
-    with pytest.raises(InvalidInput, match="has no field 'w'; choose among u"):
-        run(export.KIND, campaign(), Subject("plate", "S02"), formats=("csv",), fields=("w",))
+    with pytest.raises(InvalidInput, match="has no field 'von_mises'; choose among displacement X"):
+        run(export.KIND, campaign(), Subject("plate", "S02"), formats=("csv",), fields=("von_mises",))
+
+
+def test_values_that_no_merged_surface_has_are_refused_before_it_is_there() -> None:
+    with pytest.raises(InvalidInput, match="no value 'displacment Z'; did you mean 'displacement Z'; choose"):
+        export.KIND.checked_parameters({"fields": "displacment Z"})
+    deep = export.KIND.checked_parameters({"fields": ["von_mises", "displacement Z"]})
+    subject = Subject("plate", "S01")
+    assert list(export.needs(campaign(views=("C1P1",)), subject, deep))
+    alone = replace(campaign(), views=("C1P1", "C2"))
+    with pytest.raises(InvalidInput, match="'displacement Z', which the image of C2 alone does not have"):
+        list(export.needs(alone, subject, deep))

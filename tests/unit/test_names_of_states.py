@@ -1,0 +1,46 @@
+"""A state that there is not is refused wherever one is named, with the one that was perhaps meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command import answer, inside
+from support.homes import make_home
+
+from sms_jobs.errors import did_you_mean
+
+USAGE, NOT_FOUND = 2, 3
+
+
+@pytest.fixture
+def home(home: Path) -> Path:
+    make_home(home, {})
+    return home
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("job submit simulate -c plate --state S1", USAGE),
+        ("schedule add n simulate -c plate --every 1h --state S1", USAGE),
+        ("acquire run plate --dry-run --state S1", USAGE),
+        ("acquire plan plate --next --state S1", USAGE),
+        ("data export --kind measurement -c plate --state S1", USAGE),
+        ("campaign matrix plate --state S1", NOT_FOUND),
+    ],
+)
+def test_a_state_that_there_is_not_is_refused_with_the_one_like_it(home: Path, words: str, code: int) -> None:
+    refused = inside(*words.split(), "--home", str(home))
+    assert refused.returncode == code
+    assert "campaign plate has no state S1; did you mean 'S01'; " in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    for what in ("job", "schedule"):
+        assert answer(what, "list", "--home", str(home)) == []
+
+
+def test_names_are_alike_whatever_their_case_and_only_where_they_are() -> None:
+    known = ("S00", "S01", "S10")
+    assert did_you_mean("s01", known) == "did you mean 'S01'; "
+    assert did_you_mean("S001", known) == "did you mean 'S01'; "
+    assert did_you_mean("S99", known) == did_you_mean("load", known) == did_you_mean("S1", ()) == ""
