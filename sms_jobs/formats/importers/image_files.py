@@ -179,8 +179,9 @@ def _decoded(path: Path, content: bytes) -> tuple[NDArray[Any], list[str]]:
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
                 _check_size(path, image)
+                deep = _is_deep(image, content)
                 image.load()  # raises where the data end too soon
-                mode, deep = image.mode, _is_deep(image, content)
+                mode = image.mode
                 levels = None if deep else _levels(path, image)
     except InvalidInput:
         raise
@@ -213,7 +214,11 @@ def _too_large(path: Path) -> str:
 
 
 def _is_deep(image: Any, content: bytes) -> bool:
-    """Tell colour images of 16 bits a channel, which Pillow would cut to 8."""
+    """Tell images whose levels Pillow would change: colours of 16 bits, which it would cut to 8, and PNM of
+    another highest level than 255, whose levels it would scale to 8 or 16 bits.
+    """
+    if image.format == "PPM":
+        return any(tile.codec_name in ("ppm", "ppm_plain") and tile.args[1] != 255 for tile in image.tile)
     if image.format == "PNG":
         return content[24] == 16 and content[25] in _PNG_COLOUR
     if image.format == "TIFF":
@@ -245,9 +250,13 @@ def _levels(path: Path, image: Any) -> NDArray[Any]:
 def _deep_levels(path: Path, content: bytes) -> NDArray[Any]:
     import cv2
 
+    digits = content[:2] in (b"P2", b"P3")
+    if digits:
+        content += b"\n"  # without which OpenCV does not read the last number
     levels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if levels is None or levels.dtype != np.uint16:
-        raise InvalidInput(f"{path.name} has 16-bit colours that cannot be read: save it as 16-bit grey")
+    # Of levels written in digits OpenCV stretches up to 8 bits.
+    if levels is None or levels.dtype not in ((np.uint16,) if digits else (np.uint8, np.uint16)):
+        raise InvalidInput(f"{path.name} has levels that cannot be read: save it as 16-bit grey PNG")
     if levels.ndim == 3 and levels.shape[2] >= 3:
         levels[..., :3] = levels[..., 2::-1]
     return np.asarray(levels)

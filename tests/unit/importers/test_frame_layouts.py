@@ -247,6 +247,30 @@ def test_16_bits_stay_16_bits_and_colours_become_grey(
     assert np.abs(grey - expected.astype(float)).max() <= (0 if channels == 1 else 1)
 
 
+@pytest.mark.parametrize("highest", [100, 255, 1023, 4095, 65_535])
+@pytest.mark.parametrize("kind", ["P2", "P3", "P5", "P6"])
+def test_levels_of_pnm_are_not_stretched(
+    tmp_path: Path, kind: str, highest: int, rng: np.random.Generator
+) -> None:
+    levels = rng.integers(0, highest + 1, (6, 7), dtype=np.uint16)
+    values = np.repeat(levels.ravel(), 3) if kind in ("P3", "P6") else levels.ravel()
+    deep = ">u2" if highest > 255 else "u1"
+    data = values.astype(deep).tobytes() if kind in ("P5", "P6") else " ".join(map(str, values)).encode()
+    file = tmp_path / "a.pnm"
+    file.write_bytes(f"{kind}\n7 6\n{highest}\n".encode() + data)
+    if kind in ("P2", "P3") and highest == 100:
+        with pytest.raises(InvalidInput, match="has levels that cannot be read"):
+            read_image(file)
+        return
+    grey, facts = read_image(file)
+    np.testing.assert_array_equal(grey, levels)
+    assert facts.dtype == ("uint16" if highest > 255 else "uint8")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-1] if kind in ("P5", "P6") else whole.rpartition(b" ")[0])
+    with pytest.raises(InvalidInput, match="damaged"):
+        read_image(file)
+
+
 @pytest.mark.parametrize(("text", "kind"), [("7x5x8", "u1"), ("7x5x12+16", "<u2"), ("7x5x16be", ">u2")])
 def test_raw_files_are_read_as_described(
     tmp_path: Path, text: str, kind: str, rng: np.random.Generator
