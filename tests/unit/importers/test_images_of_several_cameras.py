@@ -200,6 +200,16 @@ def test_no_other_state_becomes_the_reference_unasked(home: Path, folder: Path) 
     assert [s.label for s in campaign_of(home).states] == ["2", "1"]
 
 
+def test_a_reference_whose_name_no_state_can_have_is_not_left_out(home: Path, folder: Path) -> None:
+    for name in ("left", "right"):
+        (folder / f"{name}_0.png").rename(folder / f"{name}_-1.png")
+    pattern = ("--cameras", CAMERAS, "--pattern", "{camera}_{state}.png")
+    with pytest.raises(InvalidInput, match="state -1, which displacements start from, has no name"):
+        images(folder, home, *pattern)
+    images(folder, home, *pattern, "--reference", "1", code=FINDINGS)
+    assert [s.label for s in campaign_of(home).states] == ["1", "2"]
+
+
 def test_two_images_of_one_camera_and_state_are_refused(home: Path, folder: Path) -> None:
     (folder / "again").mkdir()
     (folder / "again" / "left_1.png").write_bytes((folder / "left_1.png").read_bytes())
