@@ -10,6 +10,7 @@ import io
 import re
 import stat
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import log2
 from pathlib import Path
@@ -32,6 +33,17 @@ _GREY_16 = ("I;16", "I;16L", "I;16B", "I;16N")
 _WEIGHTS = np.array([0.299, 0.587, 0.114])  # of red, green and blue: ITU-R BT.601
 _RAW = re.compile(r"(\d{1,6})x(\d{1,6})x(\d{1,2})(?:\+(\d{1,9}))?(be|le)?")
 _BITS_PER_SAMPLE = 258  # a tag of TIFF
+_ORIENTATION = 274  # a tag of TIFF, and of EXIF
+_TURNED_BACK: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: lambda levels: levels[:, ::-1],
+    3: lambda levels: levels[::-1, ::-1],
+    4: lambda levels: levels[::-1],
+    5: lambda levels: levels.swapaxes(0, 1),
+    6: lambda levels: np.rot90(levels),
+    7: lambda levels: levels[::-1, ::-1].swapaxes(0, 1),
+    8: lambda levels: np.rot90(levels, -1),
+}
+"""What leads from an image as it is to be shown to the pixels of the sensor, by orientation."""
 _PNG_COLOUR = (2, 4, 6)  # kinds of PNG with more than one channel
 
 
@@ -179,10 +191,11 @@ def _decoded(path: Path, content: bytes) -> tuple[NDArray[Any], list[str]]:
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
                 _check_size(path, image)
-                deep = _is_deep(image, content)
+                deep, turned = _is_deep(image, content), _orientation(image)
                 image.load()  # raises where the data end too soon
                 mode = image.mode
                 levels = None if deep else _levels(path, image)
+                tiff = image.format == "TIFF"
     except InvalidInput:
         raise
     except Image.DecompressionBombError:
@@ -194,7 +207,21 @@ def _decoded(path: Path, content: bytes) -> tuple[NDArray[Any], list[str]]:
         ) from None
     if levels is None:
         levels = _deep_levels(path, content)
-    return _as_grey(levels, mode)
+    if turned in _TURNED_BACK and tiff:
+        levels = np.ascontiguousarray(_TURNED_BACK[turned](levels))  # both readers turn TIFF, and no other
+    grey, remarks = _as_grey(levels, mode)
+    if turned in _TURNED_BACK:
+        remarks.append("the orientation that files note is not followed: pixels are those of the sensor")
+    return grey, remarks
+
+
+def _orientation(image: Any) -> int | None:
+    """Return how an image is to be turned when it is shown; None where that is not said, or not readable."""
+    try:
+        found = image.getexif().get(_ORIENTATION)
+    except Exception:  # noqa: BLE001 - readers raise anything on damaged notes, and pixels do not need them
+        return None
+    return found if isinstance(found, int) else None
 
 
 def _check_size(path: Path, image: Any) -> None:

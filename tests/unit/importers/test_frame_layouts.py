@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import tomllib
+import zlib
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import pi
@@ -245,6 +247,50 @@ def test_16_bits_stay_16_bits_and_colours_become_grey(
     assert facts.dtype == "uint16"
     # Halves may be rounded either way.
     assert np.abs(grey - expected.astype(float)).max() <= (0 if channels == 1 else 1)
+
+
+def noted(whole: bytes, suffix: str, turned: int) -> bytes:
+    """Return an image file with a note on how it is to be turned when it is shown."""
+    entry = struct.pack("<HHIHH", 274, 3, 1, turned, 0)
+    note = b"II*\0\x08\0\0\0\x01\0" + entry + b"\0\0\0\0"
+    if suffix == "tif":  # a second directory, with one entry more
+        (at,) = struct.unpack("<I", whole[4:8])
+        (count,) = struct.unpack("<H", whole[at : at + 2])
+        entries = [whole[at + 2 + 12 * k :][:12] for k in range(count)] + [entry]
+        entries.sort(key=lambda one: struct.unpack("<H", one[:2]))
+        directory = struct.pack("<H", len(entries)) + b"".join(entries) + b"\0\0\0\0"
+        return whole[:4] + struct.pack("<I", len(whole)) + whole[8:] + directory
+    if suffix == "png":
+        chunk = b"eXIf" + note
+        return (
+            whole[:33]
+            + struct.pack(">I", len(note))
+            + chunk
+            + struct.pack(">I", zlib.crc32(chunk))
+            + whole[33:]
+        )
+    body = b"Exif\0\0" + note
+    return whole[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + whole[2:]
+
+
+@pytest.mark.parametrize("turned", range(1, 9))
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [("jpg", np.uint8), ("png", np.uint8), ("png", np.uint16), ("tif", np.uint8), ("tif", np.uint16)],
+)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_an_orientation_is_told_and_not_followed(
+    tmp_path: Path, suffix: str, dtype: type, channels: int, turned: int, rng: np.random.Generator
+) -> None:
+    levels = np.kron(rng.integers(0, 256, (2, 3)), np.ones((16, 16))).astype(dtype)
+    plain = tmp_path / f"plain.{suffix}"
+    cv2.imwrite(str(plain), levels if channels == 1 else np.repeat(levels[..., None], 3, axis=-1))
+    file = tmp_path / f"noted.{suffix}"
+    file.write_bytes(noted(plain.read_bytes(), suffix, turned))
+    expected, _ = read_image(plain)
+    grey, facts = read_image(file)
+    np.testing.assert_array_equal(grey, expected)
+    assert ("orientation" in " ".join(facts.remarks)) == (turned > 1)
 
 
 @pytest.mark.parametrize("highest", [100, 255, 1023, 4095, 65_535])
