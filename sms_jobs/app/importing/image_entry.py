@@ -225,7 +225,7 @@ class EnteredImages:
 
     def _one(self, one: Inspected, camera: ImageCamera) -> TupleOutcome:
         subject = Subject(self.campaign, one.found.state, one.found.view)
-        digest = image_hash(one, self.settings.reading_options())
+        digest = image_hash(one, self.settings.reading_options(), self.settings.raw)
         known = existing_measurement(self.services.catalogue, self.services.archive, subject, digest)
         if known.status == "there":
             return outcome_of(one, "already there", known.path)

@@ -10,8 +10,8 @@ import io
 import re
 import stat
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from math import log2
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,11 @@ _TURNED_BACK: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
 _PNG_COLOUR = (2, 4, 6)  # kinds of PNG with more than one channel
 
 
+def is_raw(name: str) -> bool:
+    """Say whether a file of that name has pixels alone, without a word on how many."""
+    return Path(name).suffix.lower() in RAW_SUFFIXES
+
+
 @dataclass(frozen=True)
 class RawFormat:
     """How raw files are laid out: rows of pixels, top to bottom, one or two bytes a pixel."""
@@ -77,6 +82,10 @@ class RawFormat:
     def dtype(self) -> np.dtype[Any]:
         """Of one pixel in the file."""
         return np.dtype("u1") if self.bits <= 8 else np.dtype(">u2" if self.big_endian else "<u2")
+
+    def said_of(self, names: Iterable[str]) -> dict[str, dict[str, int | bool]]:
+        """Return what makes another image of the same bytes, for a hash; nothing where no file is raw."""
+        return {"raw": asdict(self)} if any(is_raw(name) for name in names) else {}
 
     @property
     def size_bytes(self) -> int:
@@ -129,7 +138,7 @@ def read_image(path: Path, raw: RawFormat | None = None) -> tuple[NDArray[Any], 
     content = _content(path)
     digest = hashlib.sha256(content).hexdigest()
     remarks: list[str] = []
-    if path.suffix.lower() in RAW_SUFFIXES:
+    if is_raw(path.name):
         grey = _raw_levels(path, content, raw)
     else:
         grey, remarks = _decoded(path, content)

@@ -207,7 +207,7 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
     a state do not make it another.
     """
     gray = layout.sequence.gray
-    parts = {
+    parts: dict[str, object] = {
         "fringes": [one.facts[n].sha256 for n in one.found.fringes],
         "code": [one.facts[n].sha256 for n in one.found.code],
         "white": None if one.found.white is None else one.facts[one.found.white].sha256,
@@ -217,6 +217,8 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
         "gray": None if gray is None else [gray.stripes, gray.threshold],
         "camera": [layout.full_scale, layout.gain, layout.read_noise],
     }
+    if layout.raw is not None:
+        parts |= layout.raw.said_of(one.facts)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 

@@ -218,6 +218,7 @@ def test_the_hash_follows_content_and_reading_alone(tmp_path: Path) -> None:
     assert told() == first
     assert told(phase={"direction": -1}) != first
     assert told(camera={"full_scale": 4095}) != first
+    assert told(camera={"raw": "8x4x8"}) == first  # no file here is raw
     other = cv2.imread(str(paths[2]), cv2.IMREAD_UNCHANGED)
     other[0, 0] += 1
     cv2.imwrite(str(paths[2]), other)

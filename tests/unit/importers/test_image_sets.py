@@ -126,6 +126,22 @@ def test_images_of_two_depths_have_each_their_full_scale_and_noise(
     np.testing.assert_allclose([one.read_noise for one in found], [0.504, 0.504, 1.12, 1.12], rtol=1e-2)
 
 
+def test_a_raw_file_that_was_described_otherwise_is_another_image(home: Path, tmp_path: Path) -> None:
+    (tmp_path / "test").mkdir()
+    (tmp_path / "test" / "s0.raw").write_bytes(bytes(range(240)) * 2)
+
+    def outcome(raw: str, *options: str, code: int = 0) -> str:
+        told = images(tmp_path / "test", home, "--pattern", "s{state}.raw", "--raw", raw, *options, code=code)
+        ((_, _, found),) = outcomes(told)
+        return found
+
+    assert outcome("12x20x16") == "imported"
+    assert outcome("12x20x16") == "already there"
+    assert outcome("20x12x16", code=6) == "refused"
+    assert outcome("12x20x16be", code=6) == "refused"
+    assert outcome("20x12x16", "--newer") == "imported"
+
+
 def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
     for camera in ("C1", "C2"):
         save(tmp_path / "test" / camera, levels, "s{}.png")
