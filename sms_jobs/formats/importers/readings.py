@@ -323,6 +323,12 @@ def states_by_time(
             )
         else:
             found[nearest] = state
+            same = [table.lines[i] for i, time in enumerate(at) if time == at[nearest]]
+            if len(same) > 1:
+                left_out.append(
+                    f"state {state}: {len(same)} rows, lines {same[0]} to {same[-1]}, have the time nearest "
+                    "to it; the first counts"
+                )
     return found, left_out
 
 

@@ -1,11 +1,13 @@
-"""What unit a column of readings is taken to have, where a wrong one would be a wrong number."""
+"""What a table of readings is taken to say, where another reading of it would be a wrong number."""
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.readings import Column, read_table
+from sms_jobs.formats.importers.readings import Column, read_table, states_by_time
 
 GAUGES = "um/m"
 
@@ -82,3 +84,19 @@ def test_a_point_beside_decimal_commas_is_refused(tmp_path: Path) -> None:
     assert table.number(1, 1) == 2.5
     with pytest.raises(InvalidInput, match=r"line 2: '1\.234' in column 'F' is no finite number"):
         table.number(0, 1)
+
+
+def test_rows_of_one_time_are_told(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    # The hour is there twice, when summer time ends.
+    times = ("2024-10-27T02:30:00", "2024-10-27T02:31:00", "2024-10-27T02:30:00")
+    file.write_text("time,F\n" + "".join(f"{time},{k}\n" for k, time in enumerate(times)))
+    at = {
+        "S00": datetime(2024, 10, 27, 0, 30, tzinfo=UTC),
+        "S01": datetime(2024, 10, 27, 0, 31, tzinfo=UTC),
+    }
+    states, left_out = states_by_time(
+        read_table(file), 0, at, ZoneInfo("Europe/Berlin"), timedelta(seconds=2)
+    )
+    assert states == ["S00", "S01", None]
+    assert left_out == ["state S00: 2 rows, lines 2 to 4, have the time nearest to it; the first counts"]
