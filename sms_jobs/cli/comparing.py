@@ -38,7 +38,7 @@ def compare(
         ),
     ],
     field: Annotated[
-        str | None, typer.Option(help="Displacement in the mesh file; the first with three components.")
+        str | None, typer.Option(help="Displacement in the mesh file, if it has several vectors.")
     ] = None,
     scale_mm: Annotated[float, typer.Option(help="Length of the mesh file's unit in mm.", min=1e-9)] = 1.0,
     align: Align = False,
@@ -79,7 +79,7 @@ def compare_states(
     ],
     kind: Annotated[str, typer.Option(help="What is compared: merge, or combine.")] = "merge",
     field: Annotated[
-        str | None, typer.Option(help="Displacement in the mesh files; the first with three components.")
+        str | None, typer.Option(help="Displacement in the mesh files, if they have several vectors.")
     ] = None,
     scale_mm: Annotated[float, typer.Option(help="Length of the mesh files' unit in mm.", min=1e-9)] = 1.0,
     align: Align = False,

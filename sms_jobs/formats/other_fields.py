@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.errors import NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.figures import as_png, new_figure
 from sms_jobs.formats.foreign_meshes import read_node_fields
 from sms_jobs.metrology.arrays import Floats
@@ -23,7 +23,7 @@ class PointField:
 
 
 def read_point_field(path: Path, name: str | None, scale_mm: float) -> PointField:
-    """Read the nodes of a mesh file and a field at them, by name or the first with three components.
+    """Read the nodes of a mesh file and a field at them, by name or the only one with three components.
 
     Parameters
     ----------
@@ -39,9 +39,14 @@ def read_point_field(path: Path, name: str | None, scale_mm: float) -> PointFiel
     NotFound
         There is no such file, or no such field in it.
     InvalidInput
-        It cannot be read.
+        It cannot be read, or has several such fields and none is named.
     """
     nodes, vectors = read_node_fields(path)
+    if name is None and len(vectors) > 1:
+        raise InvalidInput(
+            f"{path} has the fields {', '.join(vectors)} with three components at its nodes: say which "
+            "is the displacement as `field`"
+        )
     chosen = name if name is not None else next(iter(vectors), None)
     if chosen is None or chosen not in vectors:
         raise NotFound(

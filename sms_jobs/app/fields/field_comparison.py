@@ -31,7 +31,7 @@ class ComparisonOptions:
     Attributes
     ----------
     field
-        Displacement in a mesh file; the first with three components if it is None.
+        Displacement in a mesh file; if it is None, the only one with three components.
     scale_mm
         Length of the mesh file's unit in mm.
     align

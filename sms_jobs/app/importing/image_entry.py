@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ from sms_jobs.formats.importers.image_sets import (
     image_measurement,
     of_one_size,
 )
-from sms_jobs.formats.importers.inspection import Inspected, full_scale_of, inspect, usual_noise
+from sms_jobs.formats.importers.inspection import Inspected, full_scales_of, inspect, usual_noise
 from sms_jobs.jobs.archiving.importing import amend_campaign, existing_measurement, import_measurement
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.people import Right
@@ -121,17 +121,42 @@ def _blank(good: list[Inspected]) -> list[str]:
     return [remark]
 
 
-def _saturated(good: list[Inspected], full_scale: int) -> list[str]:
+def _same(good: list[Inspected]) -> list[str]:
+    """Return a remark on images of one content, which no camera records twice; none where there are none."""
+    files: dict[str, list[str]] = {}
+    for one in good:
+        for name, about in one.facts.items():
+            if about.at_highest < 1.0:
+                files.setdefault(about.sha256, []).append(name)
+    groups = [names for names in files.values() if len(names) > 1]
+    if not groups:
+        return []
+    first, more = " and ".join(groups[0][:3]), len(groups) - 1
+    besides = f", and so have those of {number_of(more, 'other group')}" if more else ""
+    remark = (
+        f"{first} have the same content{besides}: noise alone tells two recordings apart, so one file was "
+        "copied over another, and nothing measured would be found between them"
+    )
+    return [remark]
+
+
+def _saturated(good: list[Inspected], scales: Sequence[int]) -> list[str]:
     """Return a remark on images of which more saturates than glints do; none where there is no such image."""
-    every = {name: about for one in good for name, about in one.facts.items()}
-    parts = {n: about.at_highest for n, about in every.items() if about.highest >= full_scale}
-    many = {name: part for name, part in parts.items() if part > _GLINTS}
+    every = {
+        n: (about, level) for one, level in zip(good, scales, strict=True) for n, about in one.facts.items()
+    }
+    many = {
+        name: about.at_highest
+        for name, (about, level) in every.items()
+        if about.highest >= level and about.at_highest > _GLINTS
+    }
     if not many:
         return []
     worst = max(many, key=many.__getitem__)
     remark = (
         f"{len(many)} of {len(every)} images saturate: {many[worst]:.0%} of {worst} is at grey level "
-        f"{full_scale}, where no texture is left to match; expose for less time if they can be recorded again"
+        f"{every[worst][1]}, where no texture is left to match; expose for less time if they can be "
+        "recorded again"
     )
     return [remark]
 
@@ -171,32 +196,36 @@ class EnteredImages:
         """Enter all that have no fault, and say what became of each."""
         good = [one for one in inspected if not one.found.faults]
         remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
-        camera = self._camera(good, remarks) if good else None
+        cameras = dict(zip(map(id, good), self._cameras(good, remarks), strict=True)) if good else {}
+        remarks += _same(good) if self.noise_counts else []
         counted, rows = Counted(self.tell, "importing", len(inspected)), []
         for one in inspected:
-            if one.found.faults or camera is None:
+            camera = cameras.get(id(one))
+            if camera is None:
                 rows.append(outcome_of(one, "refused", "; ".join(one.found.faults)))
             else:
                 rows.append(self._one(one, camera))
             counted.one_more()
         return Outcome(tuple(rows), tuple(remarks))
 
-    def _camera(self, good: list[Inspected], remarks: list[str]) -> ImageCamera:
+    def _cameras(self, good: list[Inspected], remarks: list[str]) -> list[ImageCamera]:
+        """Return of each image what its camera is, which files of one depth have in common."""
         given = self.settings
-        facts = [about for one in good for about in one.facts.values()]
-        full_scale = given.full_scale or full_scale_of(facts, given.raw, remarks)
-        if self.noise_counts:
-            remarks += _blank(good) + _saturated(good, full_scale)
-        gain, read_noise = given.gain, given.read_noise
-        if gain is None or read_noise is None:
-            usual = usual_noise(full_scale, remarks if self.noise_counts else [])
-            gain = usual.gain if gain is None else gain
-            read_noise = usual.read_noise if read_noise is None else read_noise
-        return ImageCamera(full_scale, gain, read_noise)
+        scales = full_scales_of(good, given.full_scale, given.raw, remarks)
+        remarks += _blank(good) + _saturated(good, scales) if self.noise_counts else []
+        cameras = {}
+        for full_scale in dict.fromkeys(scales):
+            gain, read_noise = given.gain, given.read_noise
+            if gain is None or read_noise is None:
+                usual = usual_noise(full_scale, remarks if self.noise_counts else [])
+                gain = usual.gain if gain is None else gain
+                read_noise = usual.read_noise if read_noise is None else read_noise
+            cameras[full_scale] = ImageCamera(full_scale, gain, read_noise)
+        return [cameras[full_scale] for full_scale in scales]
 
     def _one(self, one: Inspected, camera: ImageCamera) -> TupleOutcome:
         subject = Subject(self.campaign, one.found.state, one.found.view)
-        digest = image_hash(one, self.settings.reading_options())
+        digest = image_hash(one, self.settings.reading_options(), self.settings.raw)
         known = existing_measurement(self.services.catalogue, self.services.archive, subject, digest)
         if known.status == "there":
             return outcome_of(one, "already there", known.path)

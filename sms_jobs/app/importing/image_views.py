@@ -217,7 +217,9 @@ def without_calibration(
     used: Sequence[UsedCalibration],
     recorded_at: datetime | None,
 ) -> tuple[str, ...]:
-    """Say that cameras which measure together have no calibration for when their images were recorded."""
+    """Say that cameras which measure together have no calibration for when their images were recorded, or by
+    what times one of several was chosen.
+    """
     together = cameras_together(campaign)
     times = [
         recorded_at or one.recorded_at
@@ -226,7 +228,9 @@ def without_calibration(
     ]
     held = calibration_at(used, min(times)) if times else None
     if held is not None:
-        return tuple(_strange(name, campaign, held) for name in together if name not in held.sizes)
+        strange = tuple(_strange(name, campaign, held) for name in together if name not in held.sizes)
+        by_files = len(used) > 1 and recorded_at is None
+        return (*strange, _chosen_by_files(times, campaign, used)) if by_files else strange
     if not times:
         return ()
     shape = f"{', '.join(campaign.shape_views)} of campaign {campaign.name}"
@@ -242,6 +246,18 @@ def without_calibration(
             f"an earlier calibration, since {shape} measures nothing without one"
         )
     return (words,)
+
+
+def _chosen_by_files(times: Sequence[datetime], campaign: Campaign, used: Sequence[UsedCalibration]) -> str:
+    """Say which of several calibrations hold at the times of files, which copies of them may not have."""
+    first, last = min(times), max(times)
+    held = (calibration_at(used, at) for at in sorted(times))
+    numbers = " and ".join(dict.fromkeys(str(one.number) for one in held if one is not None))
+    return (
+        f"by the times of the files, {first.isoformat(timespec='seconds')} to "
+        f"{last.isoformat(timespec='seconds')}, calibration {numbers} of rig {campaign.rig} is used, of "
+        f"{len(used)}: give `recorded_at` if these are not the times of recording"
+    )
 
 
 def _strange(camera: str, campaign: Campaign, held: UsedCalibration) -> str:

@@ -35,7 +35,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import valid_calibrations
 from sms_jobs.catalogue.campaigns import campaign_id
 from sms_jobs.errors import InvalidInput
-from sms_jobs.formats.importers.folders import LeftOut, Listing, list_folder
+from sms_jobs.formats.importers.folders import LeftOut, Listing, list_folder, printable
 from sms_jobs.formats.importers.frames import Arrangement
 from sms_jobs.formats.importers.image_files import RawFormat
 from sms_jobs.formats.importers.image_sets import named_cameras
@@ -268,6 +268,12 @@ def _definition(
     """Return the campaign as it has to be; raise where what there is contradicts the files."""
     if existing is None:
         reference = campaign.reference.label
+        if arrangement.labels and arrangement.states[0] != reference:
+            raise InvalidInput(
+                f"state {printable(arrangement.states[0])}, which displacements start from, has no name "
+                "that a state can have: write another `pattern`, rename its images, or name another state as "
+                "the `reference`"
+            )
         if reference in lacking:
             raise InvalidInput(
                 f"state {reference}, which displacements start from, has no image of "

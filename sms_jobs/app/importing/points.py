@@ -11,7 +11,7 @@ from sms_jobs.app.importing.outcomes import existing_campaign
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.formats.importers.board_points import read_points
+from sms_jobs.formats.importers.board_points import BoardTable, read_points
 from sms_jobs.formats.importers.boards import BOARD
 from sms_jobs.jobs.archiving.importing import import_observations
 from sms_jobs.jobs.archiving.registration import register_campaign
@@ -19,6 +19,7 @@ from sms_jobs.records.artefacts import Chessboard
 from sms_jobs.records.campaign import CalibrationSession, Campaign, LoadState, Specimen
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import SensorFormat
+from sms_jobs.records.sizes import number_of
 from sms_jobs.records.views import view_of
 
 
@@ -71,8 +72,8 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
     Raises
     ------
     InvalidInput
-        The table cannot be read, the sizes are not those of the view, or that is one of several cameras and
-        a projector.
+        The table cannot be read, the sizes are not those of the view or leave points outside, or the view is
+        one of several cameras and a projector.
     Conflict
         There is a campaign of that name.
     """
@@ -94,6 +95,7 @@ def import_points(services: Services, task: Task, *, dry_run: bool = False) -> I
         views=tuple(str(one) for one in seen.recordings),
         session=CalibrationSession({BOARD: board}, _sensors(task.view, task.sizes)),
     )
+    _refuse_outside(table, task.sizes)
     if existing_campaign(services, task.session) is not None:
         raise Conflict(f"there is a campaign {task.session} already: give another name to -c")
     if not dry_run:
@@ -115,3 +117,21 @@ def _sensors(view: str, sizes: Mapping[str, tuple[int, int]]) -> tuple[SensorFor
             f"give the image `size` of {' and '.join(sensors)}, not of {', '.join(sizes) or 'none'}"
         )
     return tuple(SensorFormat(name, *sizes[name]) for name in sensors)
+
+
+def _refuse_outside(table: BoardTable, sizes: Mapping[str, tuple[int, int]]) -> None:
+    """Raise `InvalidInput` where a sensor has points a pixel or more outside of its image."""
+    for pose, of_pose in table.observations.items():
+        for seen in of_pose.values():
+            for name, points in ((seen.camera, seen.camera_px), (seen.projector, seen.projector_px)):
+                if not name:
+                    continue
+                columns, rows = sizes[name]
+                outside = ((points < -1.0) | (points > (columns, rows))).any(axis=1)
+                if outside.any():
+                    x, y = points[outside][0]
+                    raise InvalidInput(
+                        f"{name} of pose {pose} has {number_of(int(outside.sum()), 'point')} outside of its "
+                        f"image of {columns} x {rows} px, such as ({x:g}, {y:g}): correct the `size`, or the "
+                        "columns"
+                    )

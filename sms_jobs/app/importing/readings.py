@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -173,12 +172,7 @@ def _columns(table: Table, maps: Sequence[str], key: str, unit: str) -> list[Col
             table.column(header.strip())
             columns.append(Column.parse(header.strip(), target.strip(), unit))
         return columns
-    columns = []
-    for header in table.header:
-        if header and header != key:
-            stem, bracket, rest = header.partition("[")
-            name = re.sub(r"[^A-Za-z0-9._-]+", "_", stem.strip()).strip("_")
-            columns.append(Column.parse(header, name.lower() + bracket + rest, unit))
+    columns = [Column.named_by(header, unit) for header in table.header if header and header != key]
     if not columns:
         raise InvalidInput(f"{table.source} has no column besides '{key}'")
     return columns

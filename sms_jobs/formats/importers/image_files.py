@@ -10,7 +10,8 @@ import io
 import re
 import stat
 import warnings
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from math import log2
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,23 @@ _GREY_16 = ("I;16", "I;16L", "I;16B", "I;16N")
 _WEIGHTS = np.array([0.299, 0.587, 0.114])  # of red, green and blue: ITU-R BT.601
 _RAW = re.compile(r"(\d{1,6})x(\d{1,6})x(\d{1,2})(?:\+(\d{1,9}))?(be|le)?")
 _BITS_PER_SAMPLE = 258  # a tag of TIFF
+_ORIENTATION = 274  # a tag of TIFF, and of EXIF
+_TURNED_BACK: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: lambda levels: levels[:, ::-1],
+    3: lambda levels: levels[::-1, ::-1],
+    4: lambda levels: levels[::-1],
+    5: lambda levels: levels.swapaxes(0, 1),
+    6: lambda levels: np.rot90(levels),
+    7: lambda levels: levels[::-1, ::-1].swapaxes(0, 1),
+    8: lambda levels: np.rot90(levels, -1),
+}
+"""What leads from an image as it is to be shown to the pixels of the sensor, by orientation."""
 _PNG_COLOUR = (2, 4, 6)  # kinds of PNG with more than one channel
+
+
+def is_raw(name: str) -> bool:
+    """Say whether a file of that name has pixels alone, without a word on how many."""
+    return Path(name).suffix.lower() in RAW_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -65,6 +82,10 @@ class RawFormat:
     def dtype(self) -> np.dtype[Any]:
         """Of one pixel in the file."""
         return np.dtype("u1") if self.bits <= 8 else np.dtype(">u2" if self.big_endian else "<u2")
+
+    def said_of(self, names: Iterable[str]) -> dict[str, dict[str, int | bool]]:
+        """Return what makes another image of the same bytes, for a hash; nothing where no file is raw."""
+        return {"raw": asdict(self)} if any(is_raw(name) for name in names) else {}
 
     @property
     def size_bytes(self) -> int:
@@ -117,7 +138,7 @@ def read_image(path: Path, raw: RawFormat | None = None) -> tuple[NDArray[Any], 
     content = _content(path)
     digest = hashlib.sha256(content).hexdigest()
     remarks: list[str] = []
-    if path.suffix.lower() in RAW_SUFFIXES:
+    if is_raw(path.name):
         grey = _raw_levels(path, content, raw)
     else:
         grey, remarks = _decoded(path, content)
@@ -179,9 +200,11 @@ def _decoded(path: Path, content: bytes) -> tuple[NDArray[Any], list[str]]:
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
                 _check_size(path, image)
+                deep, turned = _is_deep(image, content), _orientation(image)
                 image.load()  # raises where the data end too soon
-                mode, deep = image.mode, _is_deep(image, content)
+                mode = image.mode
                 levels = None if deep else _levels(path, image)
+                tiff = image.format == "TIFF"
     except InvalidInput:
         raise
     except Image.DecompressionBombError:
@@ -193,7 +216,21 @@ def _decoded(path: Path, content: bytes) -> tuple[NDArray[Any], list[str]]:
         ) from None
     if levels is None:
         levels = _deep_levels(path, content)
-    return _as_grey(levels, mode)
+    if turned in _TURNED_BACK and tiff:
+        levels = np.ascontiguousarray(_TURNED_BACK[turned](levels))  # both readers turn TIFF, and no other
+    grey, remarks = _as_grey(levels, mode)
+    if turned in _TURNED_BACK:
+        remarks.append("the orientation that files note is not followed: pixels are those of the sensor")
+    return grey, remarks
+
+
+def _orientation(image: Any) -> int | None:
+    """Return how an image is to be turned when it is shown; None where that is not said, or not readable."""
+    try:
+        found = image.getexif().get(_ORIENTATION)
+    except Exception:  # noqa: BLE001 - readers raise anything on damaged notes, and pixels do not need them
+        return None
+    return found if isinstance(found, int) else None
 
 
 def _check_size(path: Path, image: Any) -> None:
@@ -213,7 +250,11 @@ def _too_large(path: Path) -> str:
 
 
 def _is_deep(image: Any, content: bytes) -> bool:
-    """Tell colour images of 16 bits a channel, which Pillow would cut to 8."""
+    """Tell images whose levels Pillow would change: colours of 16 bits, which it would cut to 8, and PNM of
+    another highest level than 255, whose levels it would scale to 8 or 16 bits.
+    """
+    if image.format == "PPM":
+        return any(tile.codec_name in ("ppm", "ppm_plain") and tile.args[1] != 255 for tile in image.tile)
     if image.format == "PNG":
         return content[24] == 16 and content[25] in _PNG_COLOUR
     if image.format == "TIFF":
@@ -245,9 +286,13 @@ def _levels(path: Path, image: Any) -> NDArray[Any]:
 def _deep_levels(path: Path, content: bytes) -> NDArray[Any]:
     import cv2
 
+    digits = content[:2] in (b"P2", b"P3")
+    if digits:
+        content += b"\n"  # without which OpenCV does not read the last number
     levels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if levels is None or levels.dtype != np.uint16:
-        raise InvalidInput(f"{path.name} has 16-bit colours that cannot be read: save it as 16-bit grey")
+    # Of levels written in digits OpenCV stretches up to 8 bits.
+    if levels is None or levels.dtype not in ((np.uint16,) if digits else (np.uint8, np.uint16)):
+        raise InvalidInput(f"{path.name} has levels that cannot be read: save it as 16-bit grey PNG")
     if levels.ndim == 3 and levels.shape[2] >= 3:
         levels[..., :3] = levels[..., 2::-1]
     return np.asarray(levels)

@@ -143,9 +143,10 @@ def _size(one: Inspected) -> str:
     return "no image"
 
 
-def image_hash(one: Inspected, given: Mapping[str, float | None]) -> str:
-    """Return the SHA-256 of what the measurement is made of: its file, and what is said of the camera."""
+def image_hash(one: Inspected, given: Mapping[str, float | None], raw: RawFormat | None) -> str:
+    """Return the SHA-256 of what the measurement is made of: its file, and what is said of it."""
     parts = {"image": [about.sha256 for about in one.facts.values()], "camera": dict(given)}
+    parts |= {} if raw is None else raw.said_of(one.facts)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 

@@ -207,7 +207,7 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
     a state do not make it another.
     """
     gray = layout.sequence.gray
-    parts = {
+    parts: dict[str, object] = {
         "fringes": [one.facts[n].sha256 for n in one.found.fringes],
         "code": [one.facts[n].sha256 for n in one.found.code],
         "white": None if one.found.white is None else one.facts[one.found.white].sha256,
@@ -217,6 +217,8 @@ def source_hash(one: Inspected, layout: FrameLayout) -> str:
         "gray": None if gray is None else [gray.stripes, gray.threshold],
         "camera": [layout.full_scale, layout.gain, layout.read_noise],
     }
+    if layout.raw is not None:
+        parts |= layout.raw.said_of(one.facts)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -229,21 +231,18 @@ def camera_models(
     Raises `InvalidInput` where the full scale cannot be inferred.
     """
     remarks: list[str] = []
-    full_scale = layout.full_scale
-    if full_scale is None:
-        facts = [about for one in inspected for about in one.facts.values()]
-        full_scale = full_scale_of(facts, layout.raw, remarks)
+    full_scales = full_scales_of(inspected, layout.full_scale, layout.raw, remarks)
     if layout.gain is not None and layout.read_noise is not None:
-        given = CameraModel(full_scale, layout.gain, layout.read_noise)
-        return (given,) * len(inspected), tuple(remarks)
+        given = [CameraModel(level, layout.gain, layout.read_noise) for level in full_scales]
+        return tuple(given), tuple(remarks)
     telling = [one for one in inspected if one.noise is not None]
     found = [one.noise for one in telling if one.noise is not None]
     if found:
         remarks += _noise_remarks(inspected, telling, found)
-    other = found[0] if found else usual_noise(full_scale, remarks)
+    usual = {} if found else {level: usual_noise(level, remarks) for level in dict.fromkeys(full_scales)}
     models = []
-    for one in inspected:
-        own = one.noise or other
+    for one, full_scale in zip(inspected, full_scales, strict=True):
+        own = one.noise or (found[0] if found else usual[full_scale])
         gain = own.gain if layout.gain is None else layout.gain
         read_noise = own.read_noise if layout.read_noise is None else layout.read_noise
         models.append(CameraModel(full_scale, gain, read_noise))
@@ -288,11 +287,33 @@ def usual_noise(full_scale: int, remarks: list[str]) -> FrameNoise:
     return found
 
 
-def full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: list[str]) -> int:
-    """Return the grey level at which the camera saturates, as the files show it, and remark on guesses.
+def full_scales_of(
+    inspected: Sequence[Inspected], given: int | None, raw: RawFormat | None, remarks: list[str]
+) -> tuple[int, ...]:
+    """Return of each tuple the grey level at which its camera saturates, and remark on guesses.
 
-    Raises `InvalidInput` where it cannot be inferred.
+    Files of 8 bits and of 16 bits have each their own, whatever else is imported with them.
     """
+    facts = [about for one in inspected for about in one.facts.values()]
+    scales = {
+        depth: _full_scale_of([about for about in facts if about.dtype == depth], raw, remarks)
+        if given is None
+        else given
+        if depth == "uint16"
+        else min(given, 255)
+        for depth in dict.fromkeys(about.dtype for about in facts)
+    }
+    if len(scales) > 1:
+        names = {about.dtype: name for one in inspected for name, about in one.facts.items()}
+        remarks.append(
+            f"{names['uint8']} has 8 bits and {names['uint16']} 16: their full scales are {scales['uint8']} "
+            f"and {scales['uint16']}"
+        )
+    return tuple(scales[next(iter(one.facts.values())).dtype] for one in inspected)
+
+
+def _full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: list[str]) -> int:
+    """Return the grey level at which the camera saturates, as files of one depth show it."""
     if raw is not None and any(f.dtype == raw.dtype.newbyteorder("=").name for f in facts):
         return (1 << raw.bits) - 1
     if all(f.dtype == "uint8" for f in facts):

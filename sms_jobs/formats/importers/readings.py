@@ -31,8 +31,12 @@ _STRAINS = {
     "1": 1.0, "strain": 1.0, "m/m": 1.0, "mm/m": 1e-3, "%": 1e-2, "millistrain": 1e-3, "permille": 1e-3,
     "um/m": 1e-6, "µm/m": 1e-6, "μm/m": 1e-6, "microstrain": 1e-6, "ue": 1e-6, "ustrain": 1e-6,
 }  # fmt: skip
-_FORCES = {"n": 1.0, "kn": 1e3, "mn": 1e6}
+_FORCES = {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3}
 _LENGTHS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+_ROUND = _STRAINS.keys() - {"1", "strain"}
+"""Strains that round brackets can say: in them 1 is the number of a gauge, and strain what it measures."""
+_BESIDE_A_NAME = frozenset("%‰/µμ")
+"""What units have and channels do not: a header with it outside of brackets may say a unit by itself."""
 _NOTHING = {"", "nan", "na", "n/a", "-", "null", "none", "--"}
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
@@ -64,13 +68,14 @@ class Column:
         """Read `channel[unit]`; raise `InvalidInput` where the unit does not fit.
 
         Forces and displacements of the state are `load[kN]` and `displacement[um]`; strains become ratios;
-        any other unit becomes the end of the channel's name, by which it can be asked for in others.
+        any other unit becomes the end of the channel's name, by which it can be asked for in others. Where
+        the text says no unit and one would be assumed, that of the header comes first.
         """
         found = _WITH_UNIT.fullmatch(text)
         name = "" if found is None else found["name"].strip()
-        unit = default_unit
-        if found is not None and (found["unit"] or found["round"]):
-            unit = (found["unit"] or found["round"]).strip()
+        unit = "" if found is None else (found["unit"] or found["round"] or "").strip()
+        if not unit and (default_unit or name in ("load", "load_n", "displacement", "displacement_mm")):
+            unit = _unit_of(header, default_unit)
         if not _CHANNEL.fullmatch(name):
             raise InvalidInput(
                 f"'{printable(text)}' is no channel for column '{printable(header)}': write a name of "
@@ -82,12 +87,13 @@ class Column:
         ):
             if name in (special, target):
                 own = unit or ("" if name == special else "N" if special == "load" else "mm")
-                if own.lower() not in units:
+                factor = _factor(own, units)
+                if factor is None:
                     raise InvalidInput(
                         f"column '{printable(header)}' is {special} in '{printable(own)}': give one of "
                         f"{', '.join(units)}, as {special}[{list(units)[1]}]"
                     )
-                return cls(header, target, units[own.lower()])
+                return cls(header, target, factor)
         if unit.lower() in _STRAINS:
             return cls(header, name, _STRAINS[unit.lower()])
         if unit in ("°C", "degC"):
@@ -101,6 +107,37 @@ class Column:
         if unit and not name.lower().endswith(f"_{unit.lower()}"):
             name = f"{name}_{unit}"
         return cls(header, name, 1.0)
+
+    @classmethod
+    def named_by(cls, header: str, default_unit: str = "") -> Column:
+        """Return what a column becomes by its header alone; raise `InvalidInput` for an unclear unit."""
+        stem, bracket, rest = header.partition("[")
+        found = _WITH_UNIT.fullmatch(header)
+        if found is not None and (found["round"] or "").strip().lower() in _ROUND:
+            stem, bracket, rest = found["name"], "[", f"{found['round']}]"
+        name = re.sub(r"[^A-Za-z0-9._-]+", "_", stem.strip()).strip("_")
+        return cls.parse(header, name.lower() + bracket + rest, default_unit)
+
+
+def _unit_of(header: str, default: str) -> str:
+    """Return the unit in a header's brackets, else the default; refuse a unit that is not in brackets."""
+    found = _WITH_UNIT.fullmatch(header)
+    said = "" if found is None else (found["unit"] or "").strip()
+    in_words = "" if found is None else (found["round"] or "").strip()
+    if said or in_words.lower() in _ROUND or _factor(in_words, _FORCES | _LENGTHS) is not None:
+        return said or in_words
+    if default and _BESIDE_A_NAME & set(header):
+        raise InvalidInput(
+            f"column '{printable(header)}' may say a unit that is not in brackets: map it with its "
+            f"unit, as in '{printable(header)}=gauge_1[{default}]'"
+        )
+    return default
+
+
+def _factor(unit: str, units: Mapping[str, float]) -> float | None:
+    """Return the factor of a unit: as it is written, or in other letters where those mean one alone."""
+    alike = [known for known in units if known.lower() == unit.lower()]
+    return units[unit] if unit in units else units[alike[0]] if len(alike) == 1 else None
 
 
 @dataclass(frozen=True)
@@ -139,7 +176,9 @@ class Table:
         if text.lower() in _NOTHING:
             return float("nan")
         try:
-            value = float(text.replace(",", ".") if self.decimal == "," else text)
+            # Beside decimal commas a point parts thousands, for some: 1.234 has two meanings.
+            several = self.decimal == "," and "." in text
+            value = float("inf" if several else text.replace(",", ".") if self.decimal == "," else text)
         except ValueError:
             value = float("inf")
         if not (isfinite(value) or isnan(value)) or "_" in text:
@@ -284,6 +323,12 @@ def states_by_time(
             )
         else:
             found[nearest] = state
+            same = [table.lines[i] for i, time in enumerate(at) if time == at[nearest]]
+            if len(same) > 1:
+                left_out.append(
+                    f"state {state}: {len(same)} rows, lines {same[0]} to {same[-1]}, have the time nearest "
+                    "to it; the first counts"
+                )
     return found, left_out
 
 

@@ -131,6 +131,8 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
     sensors = _sensors(found, given, sources)
     _refuse_one_place(sensors, sources)
     remarks = [*found.remarks, *_folds(sensors, sources)]
+    if not found.in_millimetres and given.millimetres_per_unit == 1.0:
+        remarks += _assumed_unit(sensors, sources)
     if volume is None:
         volume = _seen_together(sensors, sources)
         low, high = (", ".join(f"{x:g}" for x in corner) for corner in (volume.low, volume.high))
@@ -174,6 +176,19 @@ def _refuse_one_place(sensors: tuple[Sensor, ...], sources: str) -> None:
                 f"{one.name} and {other.name} stand at one point in {sources}, {apart_mm:.1g} mm apart: no "
                 "shape can be measured with them; is their translation missing?"
             )
+
+
+def _assumed_unit(sensors: tuple[Sensor, ...], sources: str) -> list[str]:
+    """Say what lengths are taken for where the file says no unit: a wrong one makes every shape wrong."""
+    if len(sensors) < 2:
+        return []
+    one, other = sensors[:2]
+    apart_mm = float(np.linalg.norm(one.pose.centre() - other.pose.centre()))
+    remark = (
+        f"{sources} says no unit of length: taken for mm, {one.name} and {other.name} are {apart_mm:.4g} mm "
+        "apart; `unit_mm` gives another"
+    )
+    return [remark]
 
 
 def _several_cameras(found: FoundCalibration, given: Supplement) -> bool:

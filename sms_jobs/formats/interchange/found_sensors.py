@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import datetime
-from math import cos, isfinite, radians, sin
+from math import cos, isfinite, pi, radians, sin
 from typing import Any
 
 import numpy as np
@@ -215,6 +215,12 @@ def pose_from(rotation: Floats, translation: Floats, where: str) -> Pose:
     if translation.size != 3:
         raise ConfigurationError(f"the translation of {where} is {_shape(translation)}, not 3 numbers")
     if rotation.size == 3:
+        turn = float(np.linalg.norm(rotation))
+        if turn > pi * (1.0 + LARGEST_ROTATION_ERROR):
+            raise ConfigurationError(
+                f"the rotation vector of {where} turns by {turn:.4g} rad, which is more than half a turn: "
+                "is it in degrees?"
+            )
         rotation = rotation_matrix(rotation.ravel())
     if rotation.shape != (3, 3):
         raise ConfigurationError(f"the rotation of {where} is {_shape(rotation)}, not 3 x 3")

@@ -266,7 +266,22 @@ def test_opencvs_fisheye_is_read(said: dict[str, object], tmp_path: Path) -> Non
     lens = found.calibration.rig.sensors[0].intrinsics
     assert lens.model == "fisheye"
     assert [lens.k1, lens.k2, lens.k3, lens.k4] == FISHEYE
-    assert found.remarks == ()
+    apart = float(np.linalg.norm(T))
+    (remark,) = found.remarks
+    assert remark == (
+        f"{path} says no unit of length: taken for mm, C1 and C2 are {apart:.4g} mm apart; `unit_mm` gives "
+        "another"
+    )
+
+
+def test_a_rotation_vector_of_more_than_half_a_turn_is_refused(tmp_path: Path) -> None:
+    vector = cv2.Rodrigues(R)[0]
+    pair = {"M1": K1, "D1": D1, "M2": K2, "D2": D2, "T": T}
+    given = replace(GIVEN, sizes={"C1": (1280, 1024), "C2": (1920, 1080)})
+    found = read_calibration([saved(tmp_path / "rad.yml", {**pair, "R": vector})], given)
+    np.testing.assert_allclose(found.calibration.rig.sensors[1].pose.matrix(), R, atol=1e-12)
+    with pytest.raises(ConfigurationError, match="more than half a turn: is it in degrees"):
+        read_calibration([saved(tmp_path / "deg.yml", {**pair, "R": np.degrees(vector)})], given)
 
 
 @pytest.mark.parametrize("style", OPENCV)

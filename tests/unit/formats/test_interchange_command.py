@@ -40,7 +40,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert found["new"] is True
     assert found["sensors"] == ["C1", "P1"]
     assert found["valid_from"] == "2026-05-04T08:00:00+00:00"
-    assert found["remarks"] == [f"not taken over from {folder / 'desk.xml'}: stereo_error"]
+    first, second = found["remarks"]
+    assert first == f"not taken over from {folder / 'desk.xml'}: stereo_error"
+    assert second == (
+        f"{folder / 'desk.xml'} says no unit of length: taken for mm, C1 and P1 are 164.1 mm apart; "
+        "`unit_mm` gives another"
+    )
     return home
 
 

@@ -30,6 +30,15 @@ def test_a_displacement_at_nodes_comes_in_mm(tmp_path: Path, suffix: str, rng: n
         read_point_field(file, "T", 1.0)
 
 
+def test_of_several_vectors_the_displacement_is_asked_for(tmp_path: Path, rng: np.random.Generator) -> None:
+    points, moved = rng.normal(size=(2, 3, 3))
+    fields = {"Normals": np.tile([0.0, 0.0, 1.0], (3, 1)), "U": moved}
+    meshio.Mesh(points, [("triangle", [[0, 1, 2]])], point_data=fields).write(tmp_path / "panel.vtu")
+    with pytest.raises(InvalidInput, match=r"has the fields Normals, U .*: say which"):
+        read_point_field(tmp_path / "panel.vtu", None, 1.0)
+    np.testing.assert_array_equal(read_point_field(tmp_path / "panel.vtu", "U", 1.0).values, moved)
+
+
 def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotFound, match="there is no file"):
         read_point_field(tmp_path / "nothing.vtu", None, 1.0)

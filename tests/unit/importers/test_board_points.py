@@ -170,6 +170,14 @@ def test_a_table_that_is_wrong_is_refused(file: Path, change: object, complaint:
         (("--view", "C1P1", "--size", "C1=640x480"), "give the image `size` of C1 and P1"),
         (("--view", "C1P1", "--size", "C1=640"), "--size should be as in"),
         (("--view", "P1", *SIZES), "'P1' is not a view"),
+        (
+            ("--view", "C1P1", "--size", "C1=200x480", "--size", "P1=800x600"),
+            "C1 of pose A has 3 points outside of its image of 200 x 480 px, such as (235, 20)",
+        ),
+        (
+            ("--view", "C1P1", "--size", "C1=640x480", "--size", "P1=800x200"),
+            "P1 of pose A has 4 points outside of its image of 800 x 200 px, such as (0, 300)",
+        ),
         (("--view", "C1C2P1", *SIZES), "the view C1C2P1 calibrates no projector: import the points of C1C2,"),
         (
             ("--view", "C1C2", "--size", "C1=9x9", "--size", "C2=9x9"),

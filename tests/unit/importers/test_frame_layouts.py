@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import tomllib
+import zlib
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import pi
@@ -216,6 +218,7 @@ def test_the_hash_follows_content_and_reading_alone(tmp_path: Path) -> None:
     assert told() == first
     assert told(phase={"direction": -1}) != first
     assert told(camera={"full_scale": 4095}) != first
+    assert told(camera={"raw": "8x4x8"}) == first  # no file here is raw
     other = cv2.imread(str(paths[2]), cv2.IMREAD_UNCHANGED)
     other[0, 0] += 1
     cv2.imwrite(str(paths[2]), other)
@@ -245,6 +248,74 @@ def test_16_bits_stay_16_bits_and_colours_become_grey(
     assert facts.dtype == "uint16"
     # Halves may be rounded either way.
     assert np.abs(grey - expected.astype(float)).max() <= (0 if channels == 1 else 1)
+
+
+def noted(whole: bytes, suffix: str, turned: int) -> bytes:
+    """Return an image file with a note on how it is to be turned when it is shown."""
+    entry = struct.pack("<HHIHH", 274, 3, 1, turned, 0)
+    note = b"II*\0\x08\0\0\0\x01\0" + entry + b"\0\0\0\0"
+    if suffix == "tif":  # a second directory, with one entry more
+        (at,) = struct.unpack("<I", whole[4:8])
+        (count,) = struct.unpack("<H", whole[at : at + 2])
+        entries = [whole[at + 2 + 12 * k :][:12] for k in range(count)] + [entry]
+        entries.sort(key=lambda one: struct.unpack("<H", one[:2]))
+        directory = struct.pack("<H", len(entries)) + b"".join(entries) + b"\0\0\0\0"
+        return whole[:4] + struct.pack("<I", len(whole)) + whole[8:] + directory
+    if suffix == "png":
+        chunk = b"eXIf" + note
+        return (
+            whole[:33]
+            + struct.pack(">I", len(note))
+            + chunk
+            + struct.pack(">I", zlib.crc32(chunk))
+            + whole[33:]
+        )
+    body = b"Exif\0\0" + note
+    return whole[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + whole[2:]
+
+
+@pytest.mark.parametrize("turned", range(1, 9))
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [("jpg", np.uint8), ("png", np.uint8), ("png", np.uint16), ("tif", np.uint8), ("tif", np.uint16)],
+)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_an_orientation_is_told_and_not_followed(
+    tmp_path: Path, suffix: str, dtype: type, channels: int, turned: int, rng: np.random.Generator
+) -> None:
+    levels = np.kron(rng.integers(0, 256, (2, 3)), np.ones((16, 16))).astype(dtype)
+    plain = tmp_path / f"plain.{suffix}"
+    cv2.imwrite(str(plain), levels if channels == 1 else np.repeat(levels[..., None], 3, axis=-1))
+    file = tmp_path / f"noted.{suffix}"
+    file.write_bytes(noted(plain.read_bytes(), suffix, turned))
+    expected, _ = read_image(plain)
+    grey, facts = read_image(file)
+    np.testing.assert_array_equal(grey, expected)
+    assert ("orientation" in " ".join(facts.remarks)) == (turned > 1)
+
+
+@pytest.mark.parametrize("highest", [100, 255, 1023, 4095, 65_535])
+@pytest.mark.parametrize("kind", ["P2", "P3", "P5", "P6"])
+def test_levels_of_pnm_are_not_stretched(
+    tmp_path: Path, kind: str, highest: int, rng: np.random.Generator
+) -> None:
+    levels = rng.integers(0, highest + 1, (6, 7), dtype=np.uint16)
+    values = np.repeat(levels.ravel(), 3) if kind in ("P3", "P6") else levels.ravel()
+    deep = ">u2" if highest > 255 else "u1"
+    data = values.astype(deep).tobytes() if kind in ("P5", "P6") else " ".join(map(str, values)).encode()
+    file = tmp_path / "a.pnm"
+    file.write_bytes(f"{kind}\n7 6\n{highest}\n".encode() + data)
+    if kind in ("P2", "P3") and highest == 100:
+        with pytest.raises(InvalidInput, match="has levels that cannot be read"):
+            read_image(file)
+        return
+    grey, facts = read_image(file)
+    np.testing.assert_array_equal(grey, levels)
+    assert facts.dtype == ("uint16" if highest > 255 else "uint8")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-1] if kind in ("P5", "P6") else whole.rpartition(b" ")[0])
+    with pytest.raises(InvalidInput, match="damaged"):
+        read_image(file)
 
 
 @pytest.mark.parametrize(("text", "kind"), [("7x5x8", "u1"), ("7x5x12+16", "<u2"), ("7x5x16be", ">u2")])

@@ -100,6 +100,48 @@ def test_images_that_show_nothing_are_remarked_on(home: Path, tmp_path: Path, le
     assert "1 of 4 images is blank: every pixel of s2.png is 40, and nothing can be matched" in said
 
 
+def test_images_of_one_content_are_remarked_on(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    save(tmp_path / "whole", levels, "s{}.png")
+    assert not [said for said in images(tmp_path / "whole", home, "--dry-run")["remarks"] if "same" in said]
+    levels[3] = levels[1]
+    save(tmp_path / "copied", levels, "s{}.png")
+    (said,) = (one for one in images(tmp_path / "copied", home, "--dry-run")["remarks"] if "same" in one)
+    assert "s1.png and s3.png have the same content" in said
+
+
+def test_images_of_two_depths_have_each_their_full_scale_and_noise(
+    home: Path, tmp_path: Path, levels: np.ndarray
+) -> None:
+    save(tmp_path / "test", levels[:2], "s{}.png")
+    save(tmp_path / "test", levels[2:] * 15.0, "s{}.png", first=2, dtype=np.uint16)
+    told = images(tmp_path / "test", home)
+    assert [one for one in told["remarks"] if "s1.png has 8 bits and s3.png 16" in one], told["remarks"]
+    found = []
+    with bootstrap.services(home) as services:
+        for one in told["tuples"]:
+            with services.archive.open_unrecorded(one["detail"]) as dataset:
+                found.append(dataset.read("measurement", Measurement))
+    assert [one.full_scale for one in found] == [255, 255, 4095, 4095]
+    np.testing.assert_allclose([one.gain for one in found], [0.0255, 0.0255, 0.4095, 0.4095])
+    np.testing.assert_allclose([one.read_noise for one in found], [0.504, 0.504, 1.12, 1.12], rtol=1e-2)
+
+
+def test_a_raw_file_that_was_described_otherwise_is_another_image(home: Path, tmp_path: Path) -> None:
+    (tmp_path / "test").mkdir()
+    (tmp_path / "test" / "s0.raw").write_bytes(bytes(range(240)) * 2)
+
+    def outcome(raw: str, *options: str, code: int = 0) -> str:
+        told = images(tmp_path / "test", home, "--pattern", "s{state}.raw", "--raw", raw, *options, code=code)
+        ((_, _, found),) = outcomes(told)
+        return found
+
+    assert outcome("12x20x16") == "imported"
+    assert outcome("12x20x16") == "already there"
+    assert outcome("20x12x16", code=6) == "refused"
+    assert outcome("12x20x16be", code=6) == "refused"
+    assert outcome("20x12x16", "--newer") == "imported"
+
+
 def test_an_image_that_does_not_fit_is_left_out(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
     for camera in ("C1", "C2"):
         save(tmp_path / "test" / camera, levels, "s{}.png")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,8 @@ def calibrate(home: Path, *sensors: Sensor, since: datetime = datetime(2020, 1, 
     box = Box((-40.0, -40.0, -20.0), (40.0, 40.0, 20.0))
     with bootstrap.services(home) as services:
         calibration = Calibration(Rig("rig", sensors), box, since, "made up")
-        register_calibration(services.catalogue, services.archive, calibration, datetime.now(UTC))
+        now = datetime.now(UTC)
+        register_calibration(services.catalogue, services.archive, calibration, now, accepted=True)
 
 
 @pytest.mark.parametrize(
@@ -200,6 +202,16 @@ def test_no_other_state_becomes_the_reference_unasked(home: Path, folder: Path) 
     assert [s.label for s in campaign_of(home).states] == ["2", "1"]
 
 
+def test_a_reference_whose_name_no_state_can_have_is_not_left_out(home: Path, folder: Path) -> None:
+    for name in ("left", "right"):
+        (folder / f"{name}_0.png").rename(folder / f"{name}_-1.png")
+    pattern = ("--cameras", CAMERAS, "--pattern", "{camera}_{state}.png")
+    with pytest.raises(InvalidInput, match="state -1, which displacements start from, has no name"):
+        images(folder, home, *pattern)
+    images(folder, home, *pattern, "--reference", "1", code=FINDINGS)
+    assert [s.label for s in campaign_of(home).states] == ["1", "2"]
+
+
 def test_two_images_of_one_camera_and_state_are_refused(home: Path, folder: Path) -> None:
     (folder / "again").mkdir()
     (folder / "again" / "left_1.png").write_bytes((folder / "left_1.png").read_bytes())
@@ -229,6 +241,19 @@ def test_sizes_are_those_that_are_calibrated(home: Path, folder: Path, rng: np.r
     early = ("--recorded-at", "2020-06-01T00:00:00Z", "--dry-run")
     told = images(folder, home, "--cameras", CAMERAS, "--rig", "rig", *early, name="other")
     assert any("valid from 2021-01-01" in remark for remark in told["remarks"])
+
+
+def test_times_of_files_that_choose_a_calibration_are_told(home: Path, folder: Path) -> None:
+    for year in (2020, 2022):
+        calibrate(home, camera("C1", -10.0), camera("C2", 10.0), since=datetime(year, 1, 1, tzinfo=UTC))
+    for file in folder.iterdir():
+        at = datetime(2021 if file.name.endswith("_0.png") else 2023, 6, 1, tzinfo=UTC).timestamp()
+        os.utime(file, (at, at))
+    arguments = ("--cameras", CAMERAS, "--rig", "rig", "--dry-run")
+    (said,) = (one for one in images(folder, home, *arguments)["remarks"] if "times of the files" in one)
+    assert "2021-06-01T00:00:00+00:00 to 2023-06-01T00:00:00+00:00, calibration 1 and 2 of rig rig" in said
+    told = images(folder, home, *arguments, "--recorded-at", "2021-06-01T00:00:00Z")
+    assert not [one for one in told["remarks"] if "calibration" in one]
 
 
 def test_a_camera_that_is_not_calibrated_is_named(home: Path, folder: Path) -> None:
