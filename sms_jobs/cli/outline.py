@@ -29,4 +29,8 @@ def outline(
 
     Example: sms data outline blacked.tif --above 0 --least-px 1000, of a picture with a black background
     """
-    output.print_text(textures.outline(mask, above, least_px) + "\n")
+    found = textures.outline(mask, above, least_px)
+    output.say(
+        f"outlines in {found.columns} x {found.rows} px, which must be the size of the camera's images"
+    )
+    output.print_text(found.text + "\n")

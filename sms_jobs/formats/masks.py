@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,24 @@ from sms_jobs.metrology.images.region_of_interest import outlines_of, written
 _MOST_PIECES = 1000
 
 
-def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) -> str:
+@dataclass(frozen=True)
+class MaskRegion:
+    """What of a mask image counts, in its pixels.
+
+    Attributes
+    ----------
+    text
+        Its outlines, as jobs take them.
+    columns, rows
+        Of the image, which those that are to be measured have to have.
+    """
+
+    text: str
+    columns: int
+    rows: int
+
+
+def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) -> MaskRegion:
     """Return the outlines of a mask image, whose bright pixels count.
 
     Parameters
@@ -47,7 +65,7 @@ def region_of_mask(path: Path, above: float | None = None, least_px: int = 0) ->
             "for example with `least_px` 20"
         )
     try:
-        return written(outlines_of(inside))
+        return MaskRegion(written(outlines_of(inside)), *inside.shape[::-1])
     except ValueError as error:
         raise InvalidInput(f"{path} cannot be a mask: {error}; paint what counts white") from error
 

@@ -18,6 +18,7 @@ from sms_jobs.kinds.products import MEASURED
 from sms_jobs.records.people import Right
 
 if TYPE_CHECKING:
+    from sms_jobs.formats.masks import MaskRegion
     from sms_jobs.metrology.images.texture_quality import Texture
 
 _RADII_PX = (7, 10, 13, 16, 20, 26, 32)
@@ -239,8 +240,8 @@ def _repeats(image: NDArray[np.generic]) -> list[str]:
     return [remark]
 
 
-def outline(mask: Path, above: float | None = None, least_px: int = 0) -> str:
-    """Return the outlines of a mask image as the text that jobs take for a region of interest.
+def outline(mask: Path, above: float | None = None, least_px: int = 0) -> MaskRegion:
+    """Return the outlines of a mask image, whose text jobs take for a region of interest.
 
     Parameters
     ----------

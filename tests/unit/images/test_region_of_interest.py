@@ -82,7 +82,7 @@ def test_a_mask_image_becomes_text(tmp_path: Path) -> None:
     mask[15:20, 20:25] = 0
     path = tmp_path / "mask.png"
     cv2.imwrite(str(path), mask)
-    np.testing.assert_array_equal(inside(region_of_mask(path)), mask > 0)
+    np.testing.assert_array_equal(inside(region_of_mask(path).text), mask > 0)
     cv2.imwrite(str(path), 0 * mask)
     with pytest.raises(InvalidInput, match="paint what counts white"):
         region_of_mask(path)
@@ -100,6 +100,7 @@ def test_the_command_prints_it(tmp_path: Path) -> None:
     shown = sms("data", "outline", str(tmp_path / "mask.png"))
     assert shown.returncode == 0
     np.testing.assert_array_equal(inside(shown.stdout.strip()), mask > 0)
+    assert f"{SHAPE[1]} x {SHAPE[0]} px" in shown.stderr
 
 
 def test_a_picture_with_a_black_background_is_a_mask(tmp_path: Path) -> None:
@@ -113,5 +114,5 @@ def test_a_picture_with_a_black_background_is_a_mask(tmp_path: Path) -> None:
     levels[2, 2:5] = 7
     path = tmp_path / "blacked.png"
     cv2.imwrite(str(path), levels)
-    found = inside_outlines(parse_outlines(region_of_mask(path, above=0.0, least_px=50)), mask.shape)
+    found = inside_outlines(parse_outlines(region_of_mask(path, above=0.0, least_px=50).text), mask.shape)
     np.testing.assert_array_equal(found, mask)
