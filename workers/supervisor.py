@@ -27,11 +27,11 @@ from sms_jobs.jobs.running import limits, recovery
 from sms_jobs.jobs.running.limits import Limits, Watch
 from sms_jobs.jobs.running.origin import Origin
 from sms_jobs.jobs.running.witness import Witness
+from sms_jobs.jobs.scheduling import firing
 from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app
-from sms_jobs.workers.firing import Firing
 from sms_jobs.workers.notifier import Notifier
 from sms_jobs.workers.places import Places
 from sms_jobs.workers.planning import Planning
@@ -49,8 +49,6 @@ _PATIENCE_WITH_RECEIVERS_S = 5.0
 """What is being sent then may be sent again by the next supervisor."""
 _PATIENCE_WITH_INSTRUMENTS_S = 5.0
 """What is being read then is let go of with the process, and its rig is free when its lease ends."""
-_PATIENCE_WITH_SHARES_S = 5.0
-"""What is due then, and was not entered, is due for the next supervisor."""
 _QUEUE_READY_EVERY_S = 30.0
 _SEAL_EVERY_S = 5.0
 _FOLD_EVERY_S = 20.0
@@ -86,7 +84,6 @@ class Supervisor:
             self._environment(),
             self._settings.log_folder / f"worker-{self.worker_id}.log",
         )
-        self._firing = Firing(self._services)
         self._processes_reported = 0
         self._stop_asked = 0
         self._idle = False
@@ -107,19 +104,16 @@ class Supervisor:
         watch.start()
         notifier.start()
         planning.start()
-        self._firing.start()
         self._places.start()
         try:
             self._serve(until_idle)
         finally:
             watch.stop()
-            self._firing.stop()
             planning.stop()
             notifier.stop()
             publisher.stop()
             self._stop()
             publisher.join(timeout=_PATIENCE_WITH_BROKER_S)
-            self._firing.join(timeout=_PATIENCE_WITH_SHARES_S)
             notifier.join(timeout=_PATIENCE_WITH_RECEIVERS_S)
             planning.join(timeout=_PATIENCE_WITH_INSTRUMENTS_S)
 
@@ -167,6 +161,7 @@ class Supervisor:
             if moment >= recover_at:
                 duties = (
                     self._look_for_rigs,
+                    self._fire_schedules,
                     self._enforce,
                     self._recover,
                     self._report_processes,
@@ -242,6 +237,10 @@ class Supervisor:
             logger.warning("job %s does not stop: %s process %d", job.job_id, job.force.value, job.pid)
             self._places.end(job.pid, job.force)
 
+    def _fire_schedules(self) -> None:
+        for one in firing.fire_due(self._services.catalogue, datetime.now(UTC)):
+            logger.info("schedule %s, %s: %s", one.schedule, one.fire_time, one.outcome)
+
     def _analyse(self) -> None:
         upkeep.analyse(self._services.catalogue)
 
@@ -252,16 +251,8 @@ class Supervisor:
         sealing.seal(self._services.catalogue, datetime.now(UTC))
 
     def _look_whether_idle(self) -> None:
-        # While schedules are looked at nobody knows what they submit.
-        self._idle = False
-        if not self._firing.looking.acquire(blocking=False):
-            return
-        try:
-            with self._services.catalogue.reading() as session:
-                active = session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
-            self._idle = self._firing.has_looked and not active
-        finally:
-            self._firing.looking.release()
+        with self._services.catalogue.reading() as session:
+            self._idle = not session.scalar(select(exists().where(JobRow.state.in_(ACTIVE))))
 
     def _environment(self) -> dict[str, str]:
         threads = str(self._settings.threads)

@@ -13,7 +13,7 @@ from sqlalchemy import delete, func, insert, select, text, update
 from support.command import answer, inside, service
 from support.deployments import Deployment
 from support.homes import make_home
-from support.jobs import EMPTY, NOW, claim, submit_pipeline
+from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
@@ -75,7 +75,7 @@ def lived_in(catalogue: Catalogue) -> Catalogue:
         session.execute(update(WorkerRow).values(draining=True))
     every = parse_expression("every 60s", "Europe/Berlin")
     schedules.add(catalogue, "hourly", every, Order("plate", (Request("simulate"),)), NOW)
-    firing.fire_due(catalogue, EMPTY, NOW + timedelta(seconds=61))
+    firing.fire_due(catalogue, NOW + timedelta(seconds=61))
     return catalogue
 
 

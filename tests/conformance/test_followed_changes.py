@@ -10,7 +10,7 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import update
 from support.archives import Clock, registered
-from support.jobs import EMPTY, JOBS, NOW, REQUESTS, submit_pipeline
+from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
@@ -160,7 +160,7 @@ def test_a_schedule_fires_misses_fails_and_is_held(catalogue: Catalogue) -> None
     with noted(catalogue) as found:
         schedules.add(catalogue, "night", parse_expression("every 1h", "UTC"), order, NOW, missed_fire="skip")
         for hours in (1.0, 1.0, 2.5):
-            firing.fire_due(catalogue, EMPTY, NOW + hours * HOUR)
+            firing.fire_due(catalogue, NOW + hours * HOUR)
         for paused in (True, True, False):
             with catalogue.writing() as session:
                 schedules.set_paused(session, "night", paused)

@@ -13,7 +13,7 @@ from sqlalchemy import func, insert, select, update
 from support.command import kill_all, service, wait_until
 from support.deployments import Deployment
 from support.homes import make_home
-from support.jobs import EMPTY, NOW, submit_pipeline
+from support.jobs import NOW, submit_pipeline
 from support.people import SOMEBODY
 from support.receivers import webhook
 
@@ -183,7 +183,7 @@ def test_a_schedule_that_missed_its_time_is_told(catalogue: Catalogue) -> None:
     expression = parse_expression("every 1h", "UTC")
     schedules.add(catalogue, "nightly", expression, order, NOW, missed_fire="skip")
     at = NOW + timedelta(hours=2.5)
-    assert [one.outcome for one in firing.fire_due(catalogue, EMPTY, at)] == ["missed", "missed"]
+    assert [one.outcome for one in firing.fire_due(catalogue, at)] == ["missed", "missed"]
     notices.gather(catalogue, at + MINUTE)
     assert [s.subject for s in told(catalogue)] == ["schedules of plate missed 2 times"]
     assert texts(catalogue)[0].startswith("- schedule nightly, 2026-03-01T13:00+00:00: missed\n")

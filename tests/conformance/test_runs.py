@@ -290,16 +290,14 @@ def test_a_schedule_has_a_run_for_each_time(two_campaigns: Services) -> None:
     schedules.add(two_campaigns, "n", "every 1h", asked, where="load > 1 kN")
     begun = datetime.now(UTC)
     for hours in (1.01, 2.01):
-        (fired,) = firing.fire_due(
-            two_campaigns.catalogue, two_campaigns.archive, begun + timedelta(hours=hours)
-        )
+        (fired,) = firing.fire_due(two_campaigns.catalogue, begun + timedelta(hours=hours))
         assert fired.outcome == "submitted 2 jobs"
     found = runs.list_runs(two_campaigns)
     assert len(found) == 2
     assert all(one.name.startswith("nightly-2") and one.created_by == "schedule n" for one in found)
     assert all(one.jobs == {"queued": 2} for one in found)
     schedules.add(two_campaigns, "once", f"at {begun:%Y-%m-%dT%H:%M}", asked, zone="UTC", where="load > 1 kN")
-    firing.fire_due(two_campaigns.catalogue, two_campaigns.archive, begun + timedelta(seconds=60))
+    firing.fire_due(two_campaigns.catalogue, begun + timedelta(seconds=60))
     assert "nightly" in {one.name for one in runs.list_runs(two_campaigns)}
     with pytest.raises(InvalidInput, match="name of a run"):
         schedules.add(two_campaigns, "bad", "every 1h", Work("plate", ("simulate",), run="x" * 60))

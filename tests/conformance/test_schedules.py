@@ -7,7 +7,7 @@ from datetime import timedelta
 
 import pytest
 from sqlalchemy import select, update
-from support.jobs import EMPTY, JOBS, NOW, REQUESTS, submit_pipeline
+from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
@@ -31,7 +31,7 @@ def add(catalogue: Catalogue, text: str, order: Order = ORDER, missed_fire: Miss
 
 
 def fire(catalogue: Catalogue, hours: float) -> list[Fired]:
-    return firing.fire_due(catalogue, EMPTY, NOW + hours * HOUR)
+    return firing.fire_due(catalogue, NOW + hours * HOUR)
 
 
 def outcomes(catalogue: Catalogue, hours: float) -> list[str]:

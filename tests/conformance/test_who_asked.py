@@ -73,7 +73,7 @@ def test_a_schedule_names_itself(desk: Services) -> None:
     expression = scheduling.parse_expression("every 1h", "UTC")
     now = datetime.now(UTC)
     scheduling.add(desk.catalogue, "nightly", expression, Order("plate", tuple(WORK.requests)), now)
-    firing.fire_due(desk.catalogue, desk.archive, now + timedelta(hours=1))
+    firing.fire_due(desk.catalogue, now + timedelta(hours=1))
     assert {job.submitted_by for job in jobs.list_jobs(desk)} == {"schedule nightly"}
 
 

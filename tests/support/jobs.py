@@ -7,8 +7,6 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import Archive
-from sms_jobs.archive.memory import MemoryStore
 from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import EventRow, JobRow
@@ -26,8 +24,6 @@ from sms_jobs.records.sensors import Calibration
 from sms_jobs.virtual_rig.campaigns import small_plate
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
-EMPTY = Archive(MemoryStore())
-"""An archive with nothing in it."""
 REQUESTS = [Request("simulate"), Request("pipeline")]
 
 

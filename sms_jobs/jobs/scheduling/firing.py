@@ -12,7 +12,6 @@ from sqlalchemy import and_, exists, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns, changes
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.models import JobRow
@@ -21,7 +20,6 @@ from sms_jobs.errors import InvalidInput, NotFound, ServerUnreachable, SmsError
 from sms_jobs.jobs.asking import runs
 from sms_jobs.jobs.notifying import occurrences
 from sms_jobs.jobs.planning.graph import given_parameters
-from sms_jobs.jobs.planning.refusals import check_jobs
 from sms_jobs.jobs.planning.submission import Draft, Terms, draft, enter, while_outdated
 from sms_jobs.jobs.scheduling.fire_times import times_until
 from sms_jobs.jobs.scheduling.schedules import Order, campaigns_of, expression_of, run_of
@@ -42,7 +40,7 @@ class Fired:
     outcome: str
 
 
-def fire_due(catalogue: Catalogue, archive: Archive, now: datetime) -> list[Fired]:
+def fire_due(catalogue: Catalogue, now: datetime) -> list[Fired]:
     """Submit what is due, and say what became of every time that has passed.
 
     Several supervisors may call it at once: a time belongs to whoever enters it first. Nothing is written
@@ -52,7 +50,7 @@ def fire_due(catalogue: Catalogue, archive: Archive, now: datetime) -> list[Fire
     with catalogue.reading() as session:
         due = _due(session, now)
     for one in due:
-        outcome = while_outdated(partial(_fire, catalogue, archive, one, now))
+        outcome = while_outdated(partial(_fire, catalogue, one, now))
         if outcome is not None:
             fired.append(Fired(one.schedule, one.moment, outcome))
     return fired
@@ -115,13 +113,13 @@ def _decided(
     return [(t, "missed" if t in late and t not in rescued else "submit") for t in times]
 
 
-def _fire(catalogue: Catalogue, archive: Archive, due: _Due, now: datetime) -> str | None:
+def _fire(catalogue: Catalogue, due: _Due, now: datetime) -> str | None:
     """Enter a time and its jobs; None when another supervisor was faster, or the schedule is gone."""
     planned: tuple[Draft, ...] = ()
     outcome: str = due.outcome
     refused = False
     if due.outcome == "submit":
-        planned, outcome, refused = _planned(catalogue, archive, due, now)
+        planned, outcome, refused = _planned(catalogue, due, now)
     with catalogue.writing() as session:
         try:
             with session.begin_nested():
@@ -147,9 +145,7 @@ def _by(schedule: str) -> str:
     return f"schedule {schedule}"
 
 
-def _planned(
-    catalogue: Catalogue, archive: Archive, due: _Due, now: datetime
-) -> tuple[tuple[Draft, ...], str, bool]:
+def _planned(catalogue: Catalogue, due: _Due, now: datetime) -> tuple[tuple[Draft, ...], str, bool]:
     """Return what can be planned of an order, what to say of it, and whether anything was refused."""
     drafts: list[Draft] = []
     refused: list[str] = []
@@ -159,7 +155,7 @@ def _planned(
                 runs.require_open(session, due.run)
             for campaign, states in campaigns_of(session, due.order).items():
                 try:
-                    drafts.append(_draft(session, archive, due, campaign, states, now))
+                    drafts.append(_draft(session, due, campaign, states, now))
                 except (InvalidInput, NotFound) as error:
                     if due.order.where is None:
                         raise
@@ -179,15 +175,10 @@ def _planned(
     return tuple(drafts), outcome, bool(refused)
 
 
-def _draft(
-    session: Session, archive: Archive, due: _Due, campaign: str, states: tuple[str, ...], now: datetime
-) -> Draft:
-    """Plan what is due of a campaign; raises as `draft` and `check_jobs` do."""
+def _draft(session: Session, due: _Due, campaign: str, states: tuple[str, ...], now: datetime) -> Draft:
     order = due.order
     chosen = order.requests
     if order.where is not None:
         chosen = tuple(replace(request, states=states) for request in chosen)
     terms = Terms(order.priority, order.use_cache, _by(due.schedule))
-    planned = draft(session, campaign, chosen, now, terms)
-    check_jobs(session, archive, campaign, planned.jobs)
-    return planned
+    return draft(session, campaign, chosen, now, terms)

@@ -119,6 +119,6 @@ def test_a_schedule_submits_the_others_and_tells(recorded: Path) -> None:
     with bootstrap.services(recorded) as services:
         catalogue = services.catalogue
         schedules.add(catalogue, "nightly", parse_expression("every 1h", "UTC"), order, NOW)
-        (fired,) = firing.fire_due(catalogue, services.archive, NOW + timedelta(hours=1, minutes=1))
+        (fired,) = firing.fire_due(catalogue, NOW + timedelta(hours=1, minutes=1))
     assert f"jobs; refused plate/{LACKING} and 1 more: " in fired.outcome
     assert submitted(recorded).total() > 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -11,9 +10,6 @@ from support.homes import make_home, stored
 from support.report_results import records_for
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import schedules
-from sms_jobs.app.work.jobs import Work
-from sms_jobs.jobs.scheduling.firing import fire_due
 from sms_jobs.kinds.kind import MEASUREMENT, Port
 from sms_jobs.records.subject import Subject
 
@@ -74,24 +70,3 @@ def test_a_schedule_with_a_question_is_refused_where_no_campaign_can_do_it(home:
     assert done.returncode == USAGE
     assert "leaves no pixel of plate/S01/C1P1" in done.stderr
     assert inside(*SCHEDULED, *given, region.replace("5000", "5")).returncode == 0
-
-
-@pytest.mark.parametrize("where", [None, "campaign = plate"])
-def test_what_has_become_impossible_is_the_outcome_of_a_schedule_and_no_job(
-    home: Path, where: str | None
-) -> None:
-    region = "rectangle 70 10 80 20"
-    at_rest = Subject("plate", "S00", "C1P1")
-    measured = records_for(Port("", MEASUREMENT, ()).of(at_rest), (45, 60))["measurement"]
-    work = Work("" if where else "plate", ("simulate", "pipeline"), {"correlate.region_of_interest": region})
-    with bootstrap.services(home) as services:
-        schedules.add(services, "nightly", "every 1h", work, where=where)
-        # Only now a smaller image than that of the virtual rig is recorded.
-        stored(services, MEASUREMENT, str(at_rest), {"measurement": measured})
-        later = datetime.now(UTC) + timedelta(hours=1, seconds=1)
-        (fired,) = fire_due(services.catalogue, services.archive, later)
-    assert fired.outcome.startswith("failed: ")
-    assert f"'{region}' leaves no pixel of plate/S01/C1P1, whose image has 60 x 45 px" in fired.outcome
-    assert answer("job", "list", "--home", str(home)) == []
-    (shown,) = answer("schedule", "list", "--home", str(home))
-    assert shown["last_outcome"] == fired.outcome

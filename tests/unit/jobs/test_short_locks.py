@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 from support.homes import make_home
-from support.jobs import EMPTY, NOW, REQUESTS, submit_pipeline
+from support.jobs import NOW, REQUESTS, submit_pipeline
 
 from sms_jobs import bootstrap
 from sms_jobs.bench.promises.submits import submissions
@@ -119,8 +119,8 @@ def test_nothing_is_written_while_no_schedule_is_due(catalogue: Catalogue) -> No
     schedules.add(catalogue, "nightly", every, Order("other", tuple(REQUESTS)), NOW)
     with catalogue.writing() as session:
         session.connection()  # who would write now would wait
-        assert firing.fire_due(catalogue, EMPTY, NOW + timedelta(seconds=30)) == []
-    assert len(firing.fire_due(catalogue, EMPTY, NOW + timedelta(seconds=61))) == 1
+        assert firing.fire_due(catalogue, NOW + timedelta(seconds=30)) == []
+    assert len(firing.fire_due(catalogue, NOW + timedelta(seconds=61))) == 1
 
 
 def test_turns_are_had_by_as_many_as_there_are_processors(
