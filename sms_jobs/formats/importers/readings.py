@@ -326,8 +326,8 @@ def states_by_time(
             same = [table.lines[i] for i, time in enumerate(at) if time == at[nearest]]
             if len(same) > 1:
                 left_out.append(
-                    f"state {state}: {len(same)} rows, lines {same[0]} to {same[-1]}, have the time nearest "
-                    "to it; the first counts"
+                    f"state {state}: {len(same)} rows have the time nearest to it, that of line {same[0]} "
+                    f"counts and that of line {same[1]} does not"
                 )
     return found, left_out
 

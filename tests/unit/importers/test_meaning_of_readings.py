@@ -99,4 +99,6 @@ def test_rows_of_one_time_are_told(tmp_path: Path) -> None:
         read_table(file), 0, at, ZoneInfo("Europe/Berlin"), timedelta(seconds=2)
     )
     assert states == ["S00", "S01", None]
-    assert left_out == ["state S00: 2 rows, lines 2 to 4, have the time nearest to it; the first counts"]
+    assert left_out == [
+        "state S00: 2 rows have the time nearest to it, that of line 2 counts and that of line 4 does not"
+    ]

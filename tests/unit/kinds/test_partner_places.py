@@ -73,6 +73,6 @@ def test_what_a_partner_sees_obliquely_is_stated_as_it_is() -> None:
         there = (wide > 0.75) & (wide < 0.95) & np.isfinite(error).all(axis=0)
         squares.append((error[:, there] ** 2).mean(axis=1) / variance[:, there].mean(axis=1))
     over = np.sqrt(np.mean(squares, axis=0))
-    # 40 subsets of each seed do not overlap: 6 % of an rms, three times.
+    # 40 subsets of each seed do not overlap: 6.5 % of an rms, three times.
     assert over.min() > 0.8
     assert over.max() < 1.2
