@@ -13,7 +13,7 @@ from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.subject_files import newest_file
 from sms_jobs.errors import InvalidInput, SmsError
 from sms_jobs.jobs.planning.graph import PlannedJob
-from sms_jobs.kinds.kind import MEASUREMENT
+from sms_jobs.jobs.planning.image_regions import recorded_shape
 from sms_jobs.kinds.port_names import AT_REST
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
@@ -123,7 +123,7 @@ def _sight(
     `source` is empty where the surface has yet to be made.
     """
     from sms_jobs.kinds.gauges_in_images import ImageAlone, surface_there
-    from sms_jobs.kinds.products import MEASURED, SURFACE
+    from sms_jobs.kinds.products import SURFACE
 
     view = at_rest.view or ""
     surface = _read(session, archive, source, at_rest, SURFACE) if source else None
@@ -132,10 +132,10 @@ def _sight(
     if surface is not None and source != _LOOK:
         rows, columns = surface.reason.shape
         return ImageAlone(view, columns, rows, surface.mm_per_px)
-    measured = _read(session, archive, MEASUREMENT, at_rest, MEASURED)
-    if measured is None:
+    shape = recorded_shape(session, archive, at_rest)
+    if shape is None:
         return None
-    rows, columns = measured.texture.shape
+    rows, columns = shape
     return ImageAlone(view, columns, rows, mm_per_px)
 
 

@@ -54,19 +54,26 @@ def _shape_of_image(
     session: Session, archive: Archive, campaign: Campaign, view: str
 ) -> tuple[int, int] | None:
     """Return rows and columns of the reference image of a view; None where nobody knows."""
-    from sms_jobs.kinds.products import MEASURED
-
     (at_rest, *_) = Subject(campaign.name, campaign.reference.label, view).recordings
-    file_id = newest_file(session, MEASUREMENT, at_rest, DATASET_MEDIA_TYPE)
-    if file_id is not None:
-        try:
-            with archive.open(search.file_view(session, str(file_id))) as dataset:
-                rows, columns = dataset.describe()[MEASURED.stored_as]["texture"]["shape"]
-        except SmsError:
-            # Jobs can be queued while the archive is away; the job itself tells what is wrong with its input.
-            return None
-        return rows, columns
+    if newest_file(session, MEASUREMENT, at_rest, DATASET_MEDIA_TYPE) is not None:
+        return recorded_shape(session, archive, at_rest)
     if campaign.scene is None:
         return None
     camera = campaign.scene.rig.sensor(view_of(view).camera)
     return camera.rows, camera.columns
+
+
+def recorded_shape(session: Session, archive: Archive, recording: Subject) -> tuple[int, int] | None:
+    """Return rows and columns of a recorded image; None where there is none, or it cannot be read now."""
+    from sms_jobs.kinds.products import MEASURED
+
+    file_id = newest_file(session, MEASUREMENT, recording, DATASET_MEDIA_TYPE)
+    if file_id is None:
+        return None
+    try:
+        with archive.open(search.file_view(session, str(file_id))) as dataset:
+            rows, columns = dataset.describe()[MEASURED.stored_as]["texture"]["shape"]
+    except SmsError:
+        # Jobs can be queued while the archive is away; the job itself tells what is wrong with its input.
+        return None
+    return rows, columns
