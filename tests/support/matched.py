@@ -18,4 +18,5 @@ def spread_over_pixels(images: PreparedImages, radius: int) -> tuple[np.ndarray,
     sure = found.matches.ending == CONVERGED
     x, y = found.x[sure], found.y[sure]
     points = ImagePoints(x, y, labels[y, x], found.matches.warp[sure], found.matches.sigma[sure])
-    return blend_matches(points, in_space(pixels_as_plane(labels.shape)), labels, radius)
+    found = blend_matches(points, in_space(pixels_as_plane(labels.shape)), labels, radius)
+    return found.value, found.variance

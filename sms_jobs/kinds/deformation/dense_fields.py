@@ -16,7 +16,7 @@ from sms_jobs.kinds.resolution import extent_of_pixels, resolution_of_matches
 from sms_jobs.kinds.surface_ports import independent_covariance, position_covariance
 from sms_jobs.metrology.deformation.fields import displacement
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise
-from sms_jobs.metrology.deformation.fields.displacement import StateShape, blended, displacement_field
+from sms_jobs.metrology.deformation.fields.displacement import StateShape, blend_matches, displacement_field
 from sms_jobs.metrology.deformation.fields.noise_correlation import noise_correlation_at
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
@@ -76,7 +76,9 @@ def spread(
     """Spread the matches over their regions, and verify what comes of that."""
     surface, labels = before.surface, before.match_regions
     position = surface.position if surface.has_depth else in_space(pixels_as_plane(labels.shape))
-    found = blended(trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads)
+    found = blend_matches(
+        trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads
+    )
     verified = verify_displacement(
         images,
         found.value,
@@ -85,6 +87,8 @@ def spread(
         parameters.smoothing_px,
         threads,
     )
+    # Beside borders matches tell of bends that images, of which less is seen there, may not.
+    verified = replace(verified, bias=np.fmax(verified.bias, found.bias))
     correlation = _noise_in_common(surface, labels, parameters)
     return ImageDisplacement(found.value, found.variance, verified, found.noise, correlation)
 

@@ -9,7 +9,7 @@ import numpy as np
 from sms_jobs.kinds.deformation.correlate_parameters import CorrelateParameters, match_settings
 from sms_jobs.kinds.point_matches import between_matches, trusted_points
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.deformation.fields.displacement import blended, blending_reach
+from sms_jobs.metrology.deformation.fields.displacement import blend_matches, blending_reach
 from sms_jobs.metrology.deformation.matching.camera_matching import refuse_misfits
 from sms_jobs.metrology.deformation.matching.correlation import (
     CONVERGED,
@@ -76,13 +76,14 @@ def match_and_spread(
     if between:
         refuse_misfits(found.matches)
     plane = in_space(pixels_as_plane(labels.shape))
-    spread = blended(trusted_points(found, labels), plane, labels, subsets.radius, threads)
+    spread = blend_matches(trusted_points(found, labels), plane, labels, subsets.radius, threads)
     if between:
         spread.value[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
     verified = verify_displacement(
         images, spread.value, subsets.radius, subsets.order, parameters.smoothing_px, threads
     )
-    return FollowedMatches(spread.value, spread.variance, spread.noise, verified.bias, verified.agrees)
+    variance = spread.variance + spread.bias
+    return FollowedMatches(spread.value, variance, spread.noise, verified.bias, verified.agrees)
 
 
 def follow_bends(

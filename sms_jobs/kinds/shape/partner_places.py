@@ -11,7 +11,7 @@ from sms_jobs.kinds.point_matches import between_matches, trusted_points
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
 from sms_jobs.kinds.shape.textures import spots_of
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.deformation.fields.displacement import blended
+from sms_jobs.metrology.deformation.fields.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCamera
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
@@ -77,8 +77,8 @@ def places_of_pixels(
     """
     labels, radius = images.labels, parameters.subset_radius_px
     plane = in_space(pixels_as_plane(labels.shape))
-    spread = blended(trusted_points(found, labels), plane, labels, radius, threads)
-    shift, variance = spread.value, spread.variance
+    spread = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
+    shift = spread.value
     np.copyto(shift, np.nan, where=~between_matches(found, labels.shape, parameters.spacing_px))
     verified = verify_displacement(
         images,
@@ -92,24 +92,24 @@ def places_of_pixels(
     place = _well_inside(
         np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
     )
-    bias = _in_partner(verified.bias, place, radius)
-    off = asks_for_another_place(bias, variance)
+    asked, bent = _in_partner((verified.bias, spread.bias), place, radius)
+    off = asks_for_another_place(asked, spread.variance + bent)
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
     disagree = widened(narrowed(off | ~verified.agrees, 3, border_ends=True), 3) & np.isfinite(place[0])
     np.copyto(place, np.nan, where=disagree)
     filtered = spots_of(parameters.smoothing_px)
     lenses = images.spots[0] - filtered[0], images.spots[1] - filtered[1]
-    return PartnerPlaces(place, variance + bias, spread.noise, disagree, lenses)
+    return PartnerPlaces(place, spread.variance + np.fmax(asked, bent), spread.noise, disagree, lenses)
 
 
-def _in_partner(variance: Floats, place: Floats, lever: int) -> Floats:
+def _in_partner(variances: Sequence[Floats], place: Floats, lever: int) -> list[Floats]:
     """Return variances (2, rows, columns) in px^2 of the reference image in px^2 of the partner's at places.
 
     Slopes are taken over `lever` px; what has none is as large in both images.
     """
     slopes = slopes_of_places(place, lever)
     slopes = np.where(np.isnan(slopes), np.eye(2)[..., None, None], slopes)
-    return np.asarray(np.einsum("ka...,a...->k...", slopes**2, variance))
+    return [np.einsum("ka...,a...->k...", slopes**2, one) for one in variances]
 
 
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:

@@ -54,9 +54,8 @@ def test_the_match_disturbs_strain_beside_an_edge_as_is_computed(
     labels[:, : outermost + 1] = 1
     squares = []
     for _ in range(TRIALS):
-        value, variance = blend_matches(
-            matched(rng.normal(size=(2, ROWS, COLUMNS)), last), flat(), labels, RADIUS
-        )
+        found = blend_matches(matched(rng.normal(size=(2, ROWS, COLUMNS)), last), flat(), labels, RADIUS)
+        value, variance = found.value, found.variance + found.bias
         moved = np.stack([value[0], -value[1], 0.0 * value[0]])
         covariance = np.zeros((6, ROWS, COLUMNS))
         covariance[0], covariance[3] = variance

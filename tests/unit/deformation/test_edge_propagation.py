@@ -49,7 +49,8 @@ def through_matches(rows: int, columns: int, rim: int, radius: int) -> Floats:
     region = np.ones(len(x), np.int32)
     deviations = np.array(sigma)
     found = [
-        blend_matches(ImagePoints(x, y, region, warp, deviations), xyz, labels, radius)[0] for warp in pairs
+        blend_matches(ImagePoints(x, y, region, warp, deviations), xyz, labels, radius).value
+        for warp in pairs
     ]
     return np.concatenate(found)[: rows * columns]
 

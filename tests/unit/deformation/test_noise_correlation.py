@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sms_jobs.metrology.deformation.fields.displacement import ImagePoints, blend_matches, blended
+from sms_jobs.metrology.deformation.fields.displacement import ImagePoints, blend_matches
 from sms_jobs.metrology.deformation.fields.noise_correlation import noise_correlation
 from sms_jobs.metrology.deformation.matching.correlation import (
     MatchSettings,
@@ -39,7 +39,7 @@ def blended_fit(asked: Floats, subsets: Subsets, spacing: int) -> Floats:
     labels = np.ones(asked.shape, np.int32)
     plane = np.stack([*np.mgrid[0:side, 0:side][::-1].astype(np.float64), 0.0 * asked])
     points = ImagePoints(x, y, np.ones(len(x), np.int32), warp, np.ones((len(x), 2)))
-    return np.asarray(blend_matches(points, plane, labels, radius)[0][0])
+    return np.asarray(blend_matches(points, plane, labels, radius).value[0])
 
 
 @pytest.mark.parametrize("between", [Subsets(12, 2), Subsets(7, 2), Subsets(9, 1)])
@@ -79,7 +79,7 @@ def matched(first: Floats, second: Floats, subsets: Subsets, spacing: int, shift
     points = ImagePoints(
         x, y, np.ones(len(x), np.int32), found.warp, found.sigma, 1.0 / np.fmax(found.misfit, 1.0)
     )
-    return blended(points, PLANE, LABELS, subsets.radius)
+    return blend_matches(points, PLANE, LABELS, subsets.radius)
 
 
 @pytest.mark.parametrize("noisy", ["start", "end"])

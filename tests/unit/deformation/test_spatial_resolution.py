@@ -57,7 +57,7 @@ def test_what_is_left_of_a_wave_is_what_blending_leaves(order: ShapeOrder, spaci
         if order > 1:
             warp[:, 6] = found.bend[k] * np.cos(wave * x)
         points = ImagePoints(x, y, np.ones(len(x), np.int32), warp, np.full((len(x), 2), 0.01))
-        value = blend_matches(points, PLANE, ONE, radius)[0][0][inner].mean(axis=0)
+        value = blend_matches(points, PLANE, ONE, radius).value[0][inner].mean(axis=0)
         basis = np.stack([np.cos(wave * X[0, 40:-40]), np.sin(wave * X[0, 40:-40])], axis=1)
         # 81 columns are no whole number of periods, nor of spacings: what is no wave leaks in by a hundredth.
         assert np.linalg.lstsq(basis, value, rcond=None)[0][0] == pytest.approx(left[k], abs=0.01)

@@ -7,13 +7,9 @@ import numpy as np
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
 from sms_jobs.metrology.compilation import kernel, summing_kernel
 
-_HALF_DISC = 0.29
-"""Mean distance of the matches about a pixel from it, in radii of blending, if they fill half a disc."""
 _LANES = 8  # matches that one instruction may take
 _BEYOND = 1.0 + 1e-9
 """Squared distance, in those of the reach, from which on a match weighs nothing however it is rounded."""
-_CHANCE = 5.0
-"""By trial at borders: the scatter of such matches by noise, in variances of the blend far from borders."""
 
 
 @summing_kernel
@@ -126,16 +122,17 @@ def _gather(
 @kernel
 def blend_rows(
     start: int, stop: int, xyz: Floats, labels: Labels, footprint: float, side: int, first: Ints,
-    matches: Floats, reach: float, factor: float, borders: Floats, carried: float,
-    value: Floats, variance: Floats, noise: Floats,
+    matches: Floats, reach: float,
+    value: Floats, variance: Floats, scatter: Floats, images_part: Floats, aside: Floats,
 ) -> None:  # fmt: skip
-    """Do the work of `blended` for rows start .. stop.
+    """Add up matches for `blend_matches`, of rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
     `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
-    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise. `borders`
-    (rows, columns) is a factor on the noise, `carried` the part of one-sided scatter that adds to the
-    variance however small it is.
+    region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise. `variance`
+    and `scatter` (2, rows, columns) become the weighted means of the matches' own variances, and of the
+    squares by which they differ about the pixel; `images_part` the part of the former that is noise, and
+    `aside` how far their middle is from the pixel, in those of the reach.
     """
     cells = int(np.ceil(reach / side))
     scale = (1.0 / footprint**2, 0.5 / reach**2)
@@ -149,8 +146,9 @@ def blend_rows(
             own_columns = (column * side, min((column + 1) * side, labels.shape[1]))
             for r in range(own_rows[0], own_rows[1]):
                 for c in range(own_columns[0], own_columns[1]):
-                    value[0, r, c] = value[1, r, c] = variance[0, r, c] = variance[1, r, c] = np.nan
-                    noise[0, r, c] = noise[1, r, c] = np.nan
+                    images_part[r, c] = aside[r, c] = np.nan
+                    for a in range(2):
+                        value[a, r, c] = variance[a, r, c] = scatter[a, r, c] = np.nan
                     if labels[r, c] == 0:
                         continue
                     if count < 0:
@@ -164,13 +162,10 @@ def blend_rows(
                     total = sums[0]
                     if not total > 0.0:
                         continue
-                    one_sided = (sums[1] ** 2 + sums[2] ** 2) / (total * reach * _HALF_DISC) ** 2
-                    part = sums[9] / (sums[7] + sums[8])
+                    aside[r, c] = np.hypot(sums[1], sums[2]) / (total * reach)
+                    images_part[r, c] = sums[9] / (sums[7] + sums[8])
                     for a in range(2):
                         mean = sums[3 + a] / total
-                        own = factor * sums[7 + a] / total
-                        scatter = max(sums[5 + a] / total - mean * mean, 0.0)
                         value[a, r, c] = mean
-                        noise[a, r, c] = part * borders[r, c] * own
-                        bent = max(carried * scatter, scatter - _CHANCE * own)
-                        variance[a, r, c] = borders[r, c] * own + one_sided * bent
+                        variance[a, r, c] = sums[7 + a] / total
+                        scatter[a, r, c] = max(sums[5 + a] / total - mean * mean, 0.0)

@@ -15,17 +15,22 @@ from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
 from sms_jobs.metrology.deformation.fields.blending import blend_rows
-from sms_jobs.metrology.deformation.fields.border_noise import border_factors
+from sms_jobs.metrology.deformation.fields.border_noise import beside_borders, bias_by_scatter
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
+from sms_jobs.metrology.deformation.matching.window_maps import means_of
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.metrology.images.masks import beside_another_label, box_of
 
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
 
-_CARRIED = 0.25
-"""By trial at borders: the part of the scatter of matches of first order that noise alone makes an error."""
+_ALONG = 8
+"""Radii of a subset about a pixel, over whose squares what matches differ by beyond noise is averaged."""
+_OF_MEANS = 0.9
+"""By how much of itself that scatters: of some eight independent places, two numbers each with a slope."""
+_CHANCE = 5.0
+"""By trial at borders: the most that noise makes matches scatter, in variances of blends far from borders."""
 _BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
 """By the numbers of a warp: the distance over which matches are blended, in subset radii, and the variance of
 blended matches over that of one (by quadrature): see `blend_matches`."""
@@ -61,14 +66,17 @@ class Blended:
     Attributes
     ----------
     value, variance
-        (2, rows, columns): u and v in px, and their variances in px^2.
+        (2, rows, columns): u and v in px, and their variances in px^2 as the matches state them.
     noise
         (2, rows, columns), in px^2: what of the variances is the images' noise.
+    bias
+        (2, rows, columns), in px^2: what bends add that all matches see from one side.
     """
 
     value: Floats
     variance: Floats
     noise: Floats
+    bias: Floats
 
 
 @dataclass(frozen=True)
@@ -153,7 +161,7 @@ def blending_factor(numbers: int) -> float:
 
 def blend_matches(
     points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
-) -> tuple[Floats, Floats]:
+) -> Blended:
     """Spread the image displacement from matched points to every pixel of their regions.
 
     Parameters
@@ -169,12 +177,6 @@ def blend_matches(
     threads
         How many threads to use.
 
-    Returns
-    -------
-    value, variance
-        (2, rows, columns): u and v in px and their variances in px^2; NaN where no match of the pixel's
-        region is within reach.
-
     Notes
     -----
     Thesis Eq. (3.21) with weights from image and 3D distance (and the matches' own variance), but each
@@ -188,29 +190,15 @@ def blend_matches(
 
     Neighbouring subsets share most of their pixels, so blending does not average their noise; with that of
     the gradients it comes to 1.39 times the mean variance, to 0.81 times that of subsets of second order.
-    Beside borders the latter is up to 2.4 times as much: see `border_factors`. The former is 0.75 to 1.3
-    times as much there, but beside waves and outlines it has errors besides noise that nothing shows: it
-    stays as it is, and a quarter of the matches' scatter is added.
+    Beside borders it is 0.75 to 1.4 times as much, and up to 2.4 times: see `beside_borders`.
 
-    Where all matches lie to one side, nothing cancels: by how much they differ about the pixel, beyond what
-    noise makes them differ, is added to the variance, in full where they fill half a disc, less where their
-    middle is nearer.
+    Where all matches lie to one side, nothing cancels. By how much they differ about the pixel, beyond what
+    noise makes them differ, tells how far the displacement bends, and `bias_by_scatter` what that does.
     """
-    found = blended(points, xyz, labels, subset_radius, threads)
-    return found.value, found.variance
-
-
-def blended(
-    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
-) -> Blended:
-    """Return what `blend_matches` does, and what of the variances is noise."""
     rows, columns = labels.shape
     numbers = points.warp.shape[1]
     reach = blending_reach(subset_radius, numbers)
     factor = blending_factor(numbers)
-    bends = numbers == WARP
-    borders = border_factors(labels, subset_radius, _BLEND[numbers][0]) if bends else np.ones(labels.shape)
-    carried = 0.0 if bends else _CARRIED
     side = max(1, int(reach / 4))
     shape = (-(-rows // side), -(-columns // side))
     cell = (points.y // side) * (shape[1] + 1) + points.x // side
@@ -218,7 +206,8 @@ def blended(
     edges = np.arange(shape[0] * (shape[1] + 1))
     first = np.searchsorted(cell[order], edges).reshape(shape[0], shape[1] + 1)
     value = np.empty((2, rows, columns))
-    variance, noise = np.empty((2, rows, columns)), np.empty((2, rows, columns))
+    variance, scatter = np.empty((2, rows, columns)), np.empty((2, rows, columns))
+    images_part, aside = np.empty((rows, columns)), np.empty((rows, columns))
     footprint = pixel_pitch(xyz, labels, 0.5)
     x, y = points.x[order], points.y[order]
     own_variance = (np.maximum(points.sigma[order], 1e-6) ** 2).T
@@ -233,12 +222,35 @@ def blended(
 
     def work(start: int, stop: int) -> None:
         blend_rows(
-            start, stop, xyz, labels, footprint, side, first, matches, reach, factor, borders, carried,
-            value, variance, noise,
+            start, stop, xyz, labels, footprint, side, first, matches, reach,
+            value, variance, scatter, images_part, aside,
         )  # fmt: skip
 
     in_row_blocks(work, rows, threads)
-    return Blended(value, variance, noise)
+    blend = _BLEND[numbers][0], 6 if numbers == WARP else 3
+    factors, by_noise = beside_borders(labels, subset_radius, *blend)
+    own = factor * factors * variance
+    beyond = _beyond_noise(scatter, by_noise * variance, _CHANCE * factor * variance, aside, subset_radius)
+    return Blended(value, own, images_part * own, bias_by_scatter(aside, *blend) * beyond)
+
+
+def _beyond_noise(
+    scatter: Floats, by_noise: Floats, most_by_noise: Floats, aside: Floats, radius: int
+) -> Floats:
+    """Return by how much, squared, matches differ about pixels (2, rows, columns) beyond what noise does.
+
+    Noise scatters, so that is a mean along the border, of which no pixel has more than what noise might make
+    at most, and as much of it as chance does not make; what is more is told by the pixel itself.
+    """
+    known, one_sided = np.isfinite(aside), aside**2
+    weight = means_of(one_sided, known, _ALONG * radius)
+    found = []
+    for square, noise, most in zip(scatter, by_noise, most_by_noise, strict=True):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            beyond = np.minimum(square - (1.0 + _OF_MEANS) * noise, most)
+            usual = means_of(one_sided * beyond, known, _ALONG * radius) / weight
+        found.append(np.fmax(np.fmax(usual, square - most), 0.0))
+    return np.stack(found)
 
 
 def displacement_field(

@@ -65,7 +65,7 @@ def noise_correlation(first: Subsets, second: Subsets) -> float:
 def noise_correlation_at(labels: Labels, first: Subsets, second: Subsets, margin: int) -> Floats:
     """Return that correlation at pixels (rows, columns): beside borders matches have less in common.
 
-    It is what they share over the noise that `blended` states, which of first order is that far from borders.
+    It is what they share over the noise that `blend_matches` states.
     `labels` (rows, columns) are the regions that the first are cut to; the second's go `margin` px further.
     """
     far = noise_correlation(first, second)
@@ -77,9 +77,10 @@ def noise_correlation_at(labels: Labels, first: Subsets, second: Subsets, margin
     ]
     orders = first.order, second.order
     inwards = round(margin * (RADIUS + 0.5) / (largest + 0.5))
-    return far * by_borders(
-        labels, largest, lambda rim: _less_beside(orders, (small[0], small[1]), rim, 0 if rim else inwards)
+    (less,) = by_borders(
+        labels, largest, lambda rim: (_less_beside(orders, (small[0], small[1]), rim, 0 if rim else inwards),)
     )
+    return far * less
 
 
 @cache
@@ -92,12 +93,7 @@ def _less_beside(orders: tuple[int, int], radii: tuple[int, int], rim: int, marg
         for order, radius, inwards in zip(orders, radii, (margin, 0), strict=True)
     )
     shared = [
-        float(np.sum(one[0] * other[0]) / np.sqrt(_stated(orders[0], *one) * _stated(orders[1], *other)))
+        float(np.sum(one.weights * other.weights) / np.sqrt(one.variance * other.variance))
         for one, other in zip(first, second, strict=True)
     ]
     return np.asarray(np.array(shared) / shared[-1])
-
-
-def _stated(order: int, weights: Floats, variance: float) -> float:
-    """Return what is stated of a blend's noise, but for a constant: of first order no border changes it."""
-    return variance if order == 1 else float(np.sum(weights**2))

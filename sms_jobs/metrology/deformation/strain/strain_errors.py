@@ -20,7 +20,7 @@ _OF_STRAIN = 0.25
 """Part of a bias that may have the shape of a strain over a gauge disc, where no subsets limit it: half of a
 wave of the worst length, and half of that in the mean over its directions."""
 _WIDEST = 24.0  # of a disc's radius over that of subsets: beyond, all but 4 % of what noise does is seen
-_RIM = 0.4  # of a subset's radius: within it an edge changes the noise of a match
+_RIM = 1.75  # of a subset's radius: within it an edge changes the noise of a match by more than 2 %
 _MOST_SQUARES = 64  # along an image, for which noise is told
 _SAMPLES = 12  # along a square
 _DIGITS = 3  # of the radii for which it is remembered
