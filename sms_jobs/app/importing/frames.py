@@ -9,6 +9,7 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
+from sms_jobs.app.importing.copies import remarks_on_copies
 from sms_jobs.app.importing.image_entry import Counted
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, existing_campaign, outcome_of
 from sms_jobs.app.progress import Tell, nobody
@@ -34,6 +35,7 @@ from sms_jobs.jobs.archiving.importing import (
     amend_campaign,
     existing_measurement,
     import_measurement,
+    imported_files,
     with_states,
 )
 from sms_jobs.jobs.archiving.registration import register_campaign
@@ -261,6 +263,8 @@ class _Import:
         cameras = {one.found: camera for one, camera in zip(good, models, strict=True)}
         remarks += found
         remarks += self._calibrated_otherwise(definition.rig, good)
+        known = imported_files(self.services.catalogue, self.services.archive, definition.name)
+        remarks += remarks_on_copies(good, known)
         if good and not dry_run:
             self._prepare(definition)
         counted, rows = Counted(tell, "importing", len(inspected)), []

@@ -109,6 +109,18 @@ def test_images_of_one_content_are_remarked_on(home: Path, tmp_path: Path, level
     assert "s1.png and s3.png have the same content" in said
 
 
+def test_images_of_a_state_that_is_there_already_are_remarked_on(
+    home: Path, tmp_path: Path, levels: np.ndarray
+) -> None:
+    save(tmp_path / "test", levels, "s{}.png")
+    assert not [said for said in images(tmp_path / "test", home)["remarks"] if "same" in said]
+    assert not [said for said in images(tmp_path / "test", home)["remarks"] if "same" in said]
+    save(tmp_path / "later", levels[2:3], "s{}.png", first=7)
+    given = ("--pattern", "s{state}.png", "--add-states")
+    (said,) = (one for one in images(tmp_path / "later", home, *given)["remarks"] if "same" in one)
+    assert "s7.png and s2.png of coupon/2/C1, imported before, have the same content" in said
+
+
 def test_images_of_two_depths_have_each_their_full_scale_and_noise(
     home: Path, tmp_path: Path, levels: np.ndarray
 ) -> None:
