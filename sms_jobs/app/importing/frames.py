@@ -107,7 +107,7 @@ def guess(services: Services, task: Task) -> Guessed:
     Raises `InvalidInput` for a folder or a layout that cannot be read.
     """
     listing = list_folder(task.folder, task.only)
-    existing = existing_campaign(services, task.campaign)
+    existing = existing_campaign(services, task.campaign, task.rig)
     table = with_options({} if task.layout is None else load_layout(task.layout), dict(task.layout_values))
     guessed = guess_layout(listing, table, None if existing is None else existing.sequence)
     return Guessed(task, listing, guessed, existing)

@@ -121,6 +121,17 @@ def test_images_of_a_state_that_is_there_already_are_remarked_on(
     assert "s7.png and s2.png of coupon/2/C1, imported before, have the same content" in said
 
 
+def test_a_campaign_keeps_its_reference_and_its_rig(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    save(tmp_path / "test", levels, "s{}.png")
+    images(tmp_path / "test", home, "--rig", "bench")
+    with pytest.raises(InvalidInput, match="has the reference 0, which stays"):
+        images(tmp_path / "test", home, "--reference", "2")
+    with pytest.raises(InvalidInput, match="is measured by rig bench, which stays"):
+        images(tmp_path / "test", home, "--rig", "desk")
+    again = images(tmp_path / "test", home, "--reference", "0")
+    assert {o for _, _, o in outcomes(again)} == {"already there"}
+
+
 def test_images_of_two_depths_have_each_their_full_scale_and_noise(
     home: Path, tmp_path: Path, levels: np.ndarray
 ) -> None:

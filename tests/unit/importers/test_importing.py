@@ -106,6 +106,8 @@ def test_frames_of_another_state_are_remarked_on(run: Import, tmp_path: Path) ->
     (said,) = (one for one in run(*frames(folder, *given))["remarks"] if "same" in one)
     assert "S02/frame_01.png and S03/frame_01.png have the same content" in said
     assert "of 1 other group" in said
+    with pytest.raises(InvalidInput, match="is measured by rig desk, which stays"):
+        run(*frames(folder, "--rig", "bench"))
 
 
 def test_a_bad_tuple_is_left_out_as_a_whole_and_the_others_come_in(run: Import, tmp_path: Path) -> None:
