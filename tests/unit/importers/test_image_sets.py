@@ -149,6 +149,24 @@ def test_images_of_two_depths_have_each_their_full_scale_and_noise(
     np.testing.assert_allclose([one.read_noise for one in found], [0.504, 0.504, 1.12, 1.12], rtol=1e-2)
 
 
+def test_a_full_scale_that_unused_bits_leave_open_is_asked_for(
+    home: Path, tmp_path: Path, levels: np.ndarray
+) -> None:
+    """Ten bits that are padded to twelve look like fourteen at the upper end of sixteen, hardly lit."""
+    padded = 4.0 * np.maximum(levels, 65.0)  # up to 1020, or a multiple of that
+    save(tmp_path / "low", 3.0 * padded, "s{}.png", dtype=np.uint16)
+    with pytest.raises(InvalidInput, match=r"lowest 2 bits .* can be 4092 or 65532.*give `full_scale`"):
+        images(tmp_path / "low", home, "--dry-run")
+    given = images(tmp_path / "low", home, "--dry-run", "--full-scale", "4092")
+    assert not [said for said in given["remarks"] if "full scale" in said]
+    save(tmp_path / "high", 8.0 * padded, "s{}.png", dtype=np.uint16)
+    assert "full scale 65504" in str(images(tmp_path / "high", home, "--dry-run")["remarks"])
+    saturated = 4.0 * padded
+    saturated[0, :2] = 16380.0
+    save(tmp_path / "last", saturated, "s{}.png", dtype=np.uint16)
+    assert "full scale 16380" in str(images(tmp_path / "last", home, "--dry-run")["remarks"])
+
+
 def test_a_raw_file_that_was_described_otherwise_is_another_image(home: Path, tmp_path: Path) -> None:
     (tmp_path / "test").mkdir()
     (tmp_path / "test" / "s0.raw").write_bytes(bytes(range(240)) * 2)
