@@ -159,7 +159,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
                 s.campaign,
                 " ".join(s.kinds),
                 s.last_fire,
-                s.last_outcome,
+                output.with_options(s.last_outcome or ""),
                 "paused" if s.paused else s.next_fire,
             )
             for s in found
