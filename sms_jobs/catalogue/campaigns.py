@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session, undefer
 
 from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.parts import parts
-from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.errors import Conflict, NotFound, did_you_mean
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
@@ -232,6 +232,18 @@ def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None
     for some in parts(sorted(labels)):
         found |= dict(session.execute(query.where(LoadStateRow.label.in_(some))).all())
     return found
+
+
+def refuse_unknown_states(session: Session, campaign: str, labels: Collection[str]) -> None:
+    """Raise `NotFound` where a campaign has not all of some states, or is not there itself."""
+    number = campaign_id(session, campaign)
+    lacking = sorted(set(labels) - state_ids(session, number, labels).keys())
+    if lacking:
+        meant = did_you_mean(lacking[0], state_ids(session, number))
+        raise NotFound(
+            f"campaign {campaign} has no state {lacking[0]}; {meant}"
+            f"'sms campaign show {campaign}' shows its own"
+        )
 
 
 def rig_row(session: Session, name: str) -> RigRow:
