@@ -125,11 +125,17 @@ def number_of_states(session: Session, numbers: Sequence[int]) -> dict[int, int]
     return dict(session.execute(query).all())
 
 
-def refuse_taken_name(session: Session, name: str) -> None:
-    """Raise `Conflict` where there is a campaign of that name."""
-    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is not None:
+def refuse_taken_name(session: Session, name: str, *, even_in_case: bool = False) -> None:
+    """Raise `Conflict` where there is a campaign of that name, or of one that differs only in case."""
+    taken = CampaignRow.name == name
+    if even_in_case:
+        taken = func.lower(CampaignRow.name) == name.lower()
+    there = session.scalar(select(CampaignRow.name).where(taken).limit(1))
+    if there is not None:
+        but = "" if there == name else f", from which '{name}' differs only in case"
         raise Conflict(
-            f"there is a campaign '{name}' already; choose another name or see 'sms campaign show {name}'"
+            f"there is a campaign '{there}' already{but}; choose another name or see "
+            f"'sms campaign show {there}'"
         )
 
 
