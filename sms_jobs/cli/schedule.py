@@ -186,6 +186,8 @@ def next_(
         return
     for moment in times:
         output.print_sentence(output.shown(moment))
+    if not times:
+        output.say(f"schedule {name} has no time to come that is known; 'sms schedule list' shows it")
 
 
 @app.command()

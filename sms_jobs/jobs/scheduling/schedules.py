@@ -32,6 +32,7 @@ from sms_jobs.records.subject import checked_name
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign
 
+_FIELDS = 5
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
 
@@ -147,6 +148,12 @@ def add(
     if expression.form == "at" and not next_times(expression, now, now - grace, 1):
         raise InvalidInput(
             f"{expression.what} is past, by more than {grace.total_seconds():g} s of grace; give one to come"
+        )
+    if expression.form == "cron" and len(expression.what.split()) > _FIELDS:
+        # With a sixth the first would be seconds, and an asterisk too many another time of the day.
+        raise InvalidInput(
+            f"'{expression.what}' has more than the {_FIELDS} fields of a cron expression: give minute, "
+            "hour, day, month, weekday, without seconds"
         )
     if expression.form == "cron" and not next_times(expression, now, now, 1):
         raise InvalidInput(f"'{expression.what}' is at no time to come; give days that there are")
