@@ -25,6 +25,8 @@ from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
+from sms_jobs.jobs.running.origin import Origin, is_gone
+from sms_jobs.jobs.running.witness import origin_of
 from sms_jobs.records.job import ACTIVE, SHORT_ID, UNSUCCESSFUL, JobState
 from sms_jobs.records.subject import Subject
 
@@ -180,7 +182,11 @@ class WorkerView:
 
 
 def workers(session: Session, since: datetime) -> list[WorkerView]:
-    """Return the workers that have given a sign of life since a time."""
+    """Return the workers that have given a sign of life since a time.
+
+    Those that were on this machine, and whose process is gone since, are left out.
+    """
+    here = Origin.own()
     running = (
         select(func.count())
         .where(JobRow.worker_id == WorkerRow.id, JobRow.state == JobState.RUNNING)
@@ -196,6 +202,7 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
             *(w.held_for, count),
         )
         for w, count in rows
+        if not is_gone(w.pid, origin_of(w), here)
     ]
 
 
