@@ -277,9 +277,8 @@ def failure(session: Session, some: Chosen) -> str:
     )
     if row is None:
         return "they were skipped; see 'sms job list'"
+    said = f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}"
     # What waits for an operator is a recording.
     again = "sms acquire resume" if row.state is JobState.NEEDS_OPERATOR else "sms job retry"
-    return (
-        f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
-        f"see 'sms job logs {row.id[:SHORT_ID]}', then '{again} {row.id[:SHORT_ID]}'"
-    )
+    then = f"'{again} {row.id[:SHORT_ID]}'"
+    return said if then in said else f"{said}; see 'sms job logs {row.id[:SHORT_ID]}', then {then}"
