@@ -25,8 +25,6 @@ from sms_jobs.catalogue.parts import parts
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
-from sms_jobs.jobs.running.origin import Origin, is_gone
-from sms_jobs.jobs.running.witness import origin_of
 from sms_jobs.records.job import ACTIVE, SHORT_ID, UNSUCCESSFUL, JobState
 from sms_jobs.records.subject import Subject
 
@@ -186,7 +184,6 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
 
     Those that were on this machine, and whose process is gone since, are left out.
     """
-    here = Origin.own()
     running = (
         select(func.count())
         .where(JobRow.worker_id == WorkerRow.id, JobRow.state == JobState.RUNNING)
@@ -195,7 +192,14 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
     )
     rows = session.execute(
         select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
-    )
+    ).all()
+    if not rows:
+        return []
+    # Which nothing else here needs, and a home without workers neither.
+    from sms_jobs.jobs.running.origin import Origin, is_gone
+    from sms_jobs.jobs.running.witness import origin_of
+
+    here = Origin.own()
     return [
         WorkerView(
             *(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining),
