@@ -65,8 +65,7 @@ def serve(
         )
     _require_free(address, port)
     secure = tls_certificate is not None or behind_proxy
-    names = frozenset(host_name or ())
-    hosts = names | frozenset((*_LOOPBACK, address)) if local or names else frozenset()
+    hosts = frozenset((*(host_name or ()), *_LOOPBACK, address)) if local or host_name else frozenset()
     output.log_to_stderr()
     with bootstrap.services(home, "web") as services:
         memory.share(services)
