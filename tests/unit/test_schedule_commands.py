@@ -45,6 +45,13 @@ def test_a_schedule_without_times_of_its_own_says_so(home: Path) -> None:
     assert (
         inside("schedule", "add", "then", "simulate", "-c", "plate", "--after", "plate", *at).returncode == 0
     )
-    said = inside("schedule", "next", "then", *at)
-    assert (said.returncode, said.stdout) == (0, "")
-    assert said.stderr == "schedule then has no time to come that is known; 'sms schedule list' shows it\n"
+    assert inside("schedule", "add", "held", "simulate", "-c", "plate", "--every", "1h", *at).returncode == 0
+    assert len(inside("schedule", "next", "held", *at).stdout.splitlines()) == 5
+    assert inside("schedule", "pause", "held", *at).returncode == 0
+    for name in ("then", "held"):
+        said = inside("schedule", "next", name, *at)
+        assert (said.returncode, said.stdout) == (0, "")
+        assert (
+            said.stderr
+            == f"schedule {name} has no time to come that is known; 'sms schedule list' shows it\n"
+        )

@@ -246,9 +246,9 @@ def schedules(session: Session, now: datetime) -> list[ScheduleView]:
 
 
 def coming(session: Session, name: str, now: datetime, count: int) -> list[datetime]:
-    """Return the next times of a schedule; none for one that waits for a campaign."""
+    """Return the next times of a schedule; none for one that is paused, or waits for a campaign."""
     row = _required(session, name)
-    return next_times(expression_of(row), row.created_at, now, count)
+    return [] if row.paused else next_times(expression_of(row), row.created_at, now, count)
 
 
 def calendar(session: Session, first: date, days: int, zone: ZoneInfo, now: datetime) -> list[FiringsOfDay]:
