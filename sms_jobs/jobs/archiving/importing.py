@@ -239,14 +239,16 @@ def with_state(campaign: Campaign, state: LoadState) -> Campaign:
     Raises
     ------
     Conflict
-        It has a state of that label.
+        It has a state of that label, or of one that differs only in case.
     InvalidInput
         It is a calibration session.
     """
     if campaign.session is not None:
         raise InvalidInput(f"{campaign.name} is a calibration session, whose poses are those of its plan")
-    if any(state.label == one.label for one in campaign.states):
-        raise Conflict(f"campaign {campaign.name} has a state {state.label} already; choose another label")
+    for there in (one.label for one in campaign.states):
+        if there.lower() == state.label.lower():
+            but = "" if there == state.label else f", from which {state.label} differs only in case"
+            raise Conflict(f"campaign {campaign.name} has a state {there} already{but}; choose another label")
     return replace(campaign, states=(*campaign.states, state))
 
 
