@@ -210,6 +210,7 @@ _PLAIN = {
     "a valid number": "a number",
     "a valid list": "a list",
     "a valid tuple": "a list",
+    "a valid dictionary or object to extract fields from": "an object",
     "a valid dictionary": "an object",
     "a valid string": "text",
     "a valid boolean, unable to interpret input": "true or false",

@@ -17,7 +17,7 @@ from datetime import UTC, datetime, timedelta
 from types import FrameType
 
 import psutil
-from sqlalchemy import exists, select
+from sqlalchemy import exists, func, select
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import job_counts, sealing, upkeep
@@ -28,7 +28,8 @@ from sms_jobs.jobs.running.limits import Limits, Watch
 from sms_jobs.jobs.running.origin import Origin
 from sms_jobs.jobs.running.witness import Witness
 from sms_jobs.jobs.scheduling import firing
-from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN
+from sms_jobs.records.job import ACTIVE, ALIVE_WITHIN, JobState
+from sms_jobs.records.sizes import number_of
 from sms_jobs.settings import Settings
 from sms_jobs.workers.archive_watch import ArchiveWatch
 from sms_jobs.workers.celery_app import ALL_QUEUES, WORKER_ID, WORKER_QUEUES, make_app
@@ -292,6 +293,14 @@ class Supervisor:
     def _claim_nothing(self) -> None:
         with self._services.catalogue.writing() as session:
             recovery.drain(session, self.worker_id)
+            mine = (JobRow.worker_id == self.worker_id, JobRow.state == JobState.RUNNING)
+            running = session.scalar(select(func.count()).where(*mine)) or 0
+        if running:
+            logger.info(
+                "stopping: waiting for %s to end, for at most %.0f min; Ctrl-C again kills what runs",
+                number_of(running, "running job"),
+                _PATIENCE_WITH_JOBS_S / 60.0,
+            )
 
     def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
         self._stop_asked += 1

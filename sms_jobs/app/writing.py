@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sms_jobs.archive.place import says_full
+from sms_jobs.archive.place import says_full, says_too_large
 from sms_jobs.errors import Conflict, InvalidInput, StorageFull
 
 
@@ -55,6 +55,8 @@ def new_file(out: Path, force: bool, endings: tuple[str, ...] = ()) -> Iterator[
     except OSError as error:
         if says_full(error):
             raise StorageFull(f"the disk has no room for {out}; free some, or write elsewhere") from error
+        if says_too_large(error):
+            raise _refused(out, error) from error
         if error.filename is None or Path(os.fsdecode(error.filename)).name != part.name:
             raise
         raise _refused(out, error) from error

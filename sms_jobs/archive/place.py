@@ -25,6 +25,11 @@ def says_full(error: BaseException) -> bool:
     return not _FULL.isdisjoint(_numbers(error))
 
 
+def says_too_large(error: BaseException) -> bool:
+    """Say whether an error means that a disk takes no file so large, as FAT none of 4 GB."""
+    return errno.EFBIG in _numbers(error)
+
+
 def says_unusable(error: BaseException) -> bool:
     """Say whether an error means that the disk or share cannot be used, whatever file was asked for."""
     return not _UNUSABLE.isdisjoint(_numbers(error))

@@ -178,7 +178,7 @@ def blaming_the_place(name: str, root: str, folder: str = "") -> Iterator[None]:
     except BaseException as error:
         if says_full(error):
             raise StorageFull(
-                f"the disk of {root} has no room for {name}; free some space and run the job again"
+                f"the disk of {root} has no room for {name}; free some space and try again"
             ) from error
         if says_unusable(error):
             raise StorageUnusable(

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session, undefer
 
 from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.parts import parts
-from sms_jobs.errors import Conflict, NotFound
+from sms_jobs.errors import Conflict, NotFound, did_you_mean
 
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign, LoadState
@@ -125,11 +125,17 @@ def number_of_states(session: Session, numbers: Sequence[int]) -> dict[int, int]
     return dict(session.execute(query).all())
 
 
-def refuse_taken_name(session: Session, name: str) -> None:
-    """Raise `Conflict` where there is a campaign of that name."""
-    if session.scalar(select(CampaignRow.id).where(CampaignRow.name == name)) is not None:
+def refuse_taken_name(session: Session, name: str, *, even_in_case: bool = False) -> None:
+    """Raise `Conflict` where there is a campaign of that name, or of one that differs only in case."""
+    taken = CampaignRow.name == name
+    if even_in_case:
+        taken = func.lower(CampaignRow.name) == name.lower()
+    there = session.scalar(select(CampaignRow.name).where(taken).limit(1))
+    if there is not None:
+        but = "" if there == name else f", from which '{name}' differs only in case"
         raise Conflict(
-            f"there is a campaign '{name}' already; choose another name or see 'sms campaign show {name}'"
+            f"there is a campaign '{there}' already{but}; choose another name or see "
+            f"'sms campaign show {there}'"
         )
 
 
@@ -232,6 +238,18 @@ def state_ids(session: Session, campaign_id: int, labels: Collection[str] | None
     for some in parts(sorted(labels)):
         found |= dict(session.execute(query.where(LoadStateRow.label.in_(some))).all())
     return found
+
+
+def refuse_unknown_states(session: Session, campaign: str, labels: Collection[str]) -> None:
+    """Raise `NotFound` where a campaign has not all of some states, or is not there itself."""
+    number = campaign_id(session, campaign)
+    lacking = sorted(set(labels) - state_ids(session, number, labels).keys())
+    if lacking:
+        meant = did_you_mean(lacking[0], state_ids(session, number))
+        raise NotFound(
+            f"campaign {campaign} has no state {lacking[0]}; {meant}"
+            f"'sms campaign show {campaign}' shows its own"
+        )
 
 
 def rig_row(session: Session, name: str) -> RigRow:

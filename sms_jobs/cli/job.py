@@ -26,6 +26,7 @@ from sms_jobs.records.sizes import number_of, size
 
 _FINDINGS = 6
 _MOST_REFUSED = 20
+_NONE_ACTIVE = "no job is active"
 
 app = typer.Typer(help="Jobs: submit, follow and mend them.", no_args_is_help=True)
 
@@ -332,7 +333,7 @@ def watch(
 
             counted = wait_for(services, some, tell=tell).counted
     if not as_json:
-        output.print_sentence(", ".join(f"{n} {s}" for s, n in counted.items()) or "no job is active")
+        output.print_sentence(", ".join(f"{n} {s}" for s, n in counted.items()) or _NONE_ACTIVE)
 
 
 @app.command()
@@ -429,7 +430,7 @@ def _tell_waited(waited: Waited, as_json: bool) -> None:
             counted[JobState.SUCCEEDED.value] -= empty.count
             counted["ended with nothing valid"] = empty.count
         said = ", ".join(f"{count} {state}" for state, count in counted.items() if count)
-        output.say(said or "there is no such job")
+        output.say(said or _NONE_ACTIVE)
         if empty.count:
             output.say(empty.latest)
     waited.require_success()

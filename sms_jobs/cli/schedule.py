@@ -159,7 +159,7 @@ def list_(home: Home = None, as_json: Json = False) -> None:
                 s.campaign,
                 " ".join(s.kinds),
                 s.last_fire,
-                s.last_outcome,
+                output.with_options(s.last_outcome or ""),
                 "paused" if s.paused else s.next_fire,
             )
             for s in found
@@ -186,6 +186,8 @@ def next_(
         return
     for moment in times:
         output.print_sentence(output.shown(moment))
+    if not times:
+        output.say(f"schedule {name} has no time to come that is known; 'sms schedule list' shows it")
 
 
 @app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,7 @@ from sms_jobs.app.accounts import people
 from sms_jobs.cli import output
 from sms_jobs.cli.commands import loading
 from sms_jobs.cli.output import Home
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import Conflict, InvalidInput
 
 if TYPE_CHECKING:
     import uvicorn
@@ -62,9 +63,9 @@ def serve(
             f"{address} can be reached from other machines: give --tls-certificate and --tls-key, or "
             "--behind-proxy where a proxy before it has the TLS"
         )
+    _require_free(address, port)
     secure = tls_certificate is not None or behind_proxy
-    names = frozenset(host_name or ())
-    hosts = names | frozenset((*_LOOPBACK, address)) if local or names else frozenset()
+    hosts = frozenset((*(host_name or ()), *_LOOPBACK, address)) if local or host_name else frozenset()
     output.log_to_stderr()
     with bootstrap.services(home, "web") as services:
         memory.share(services)
@@ -103,6 +104,21 @@ def _end_with_stdin(server: uvicorn.Server) -> None:
     while os.read(0, 1024):
         pass
     server.should_exit = True
+
+
+def _require_free(address: str, port: int) -> None:
+    """Raise `Conflict` where nothing can listen, before anybody is told that something does."""
+    try:
+        family, kind, _, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind(place)
+            tried.listen()
+    except OSError as error:
+        raise Conflict(
+            f"nothing can listen on {address}, port {port}: {error.strerror}; stop what serves there, or "
+            "choose another with --listen"
+        ) from error
 
 
 def _place(listen: str) -> tuple[str, int]:

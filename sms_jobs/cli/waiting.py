@@ -50,7 +50,7 @@ def followed(stop: str = "") -> Iterator[Callable[[Waiting], None]]:
             if estimate.alive:
                 there_at = time.monotonic()
             late = time.monotonic() - there_at >= _STARTS_WITHIN_S
-            why = _unserved(estimate) or (_NO_WORKER if late else "")
+            why = _unserved(estimate) or _paused(estimate) or (_NO_WORKER if late else "")
             if why and why not in said:
                 said.add(why)
                 output.say(f"waiting, with no end in sight: {why}")
@@ -61,6 +61,12 @@ def followed(stop: str = "") -> Iterator[Callable[[Waiting], None]]:
             if stop:
                 output.say(f"what was submitted goes on: 'sms job list' shows it, and '{stop}' stops it")
             raise
+
+
+def _paused(estimate: Estimate) -> str:
+    """Say which queues are paused, and where the reason stands; nothing where none is."""
+    queues = ", ".join(estimate.paused)
+    return queues and f"the queue {queues} is paused: 'sms queue list' says why"
 
 
 def _unserved(estimate: Estimate) -> str:

@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -28,6 +29,8 @@ _MEMORY_PER_BYTE = 30
 _TIME_S = 8.0
 _BYTES_PER_S = 2e6
 _ADVICE = "save it as VTU, XDMF, Gmsh, Abaqus, Nastran, or as an unstructured grid of legacy VTK"
+
+_ALONG_X = re.compile(r"(?<![A-Za-z0-9])[Xx](?![A-Za-z0-9])")
 
 NodeFields = dict[str, NDArray[np.float64]]
 
@@ -70,12 +73,29 @@ def read_node_fields(path: Path) -> tuple[NDArray[np.float64], NodeFields]:
         return arrays["points"], {name: arrays[f"field{k}"] for k, name in enumerate(names)}
 
 
+def _vectors(fields: NodeFields) -> NodeFields:
+    """Return the vectors; where there are none, numbers of which three have names that differ in X, Y, Z."""
+    found = {name: values for name, values in fields.items() if values.ndim == 2 and values.shape[1] == 3}
+    if found:
+        return found
+    numbers = {name: values.ravel() for name, values in fields.items() if values.size == len(values)}
+    for name in numbers:
+        along = _ALONG_X.search(name)
+        if along is not None:
+            before, after = name[: along.start()], name[along.end() :]
+            three = [f"{before}{axis}{after}" for axis in ("XYZ" if along[0] == "X" else "xyz")]
+            whole = " ".join(f"{before}{after}".split()).strip("_ ") or "vector"
+            if whole not in found and all(one in numbers for one in three):
+                found[whole] = np.stack([numbers[one] for one in three], axis=1)
+    return found
+
+
 def _packed(path: str) -> bytes:
     import meshio
 
     mesh: Any = meshio.read(path)
     fields = {str(name): np.asarray(values, np.float64) for name, values in mesh.point_data.items()}
-    vectors = {name: values for name, values in fields.items() if values.ndim == 2 and values.shape[1] == 3}
+    vectors = _vectors(fields)
     packed = io.BytesIO()
     numbered = {f"field{k}": values for k, values in enumerate(vectors.values())}
     points = np.asarray(mesh.points, np.float64)

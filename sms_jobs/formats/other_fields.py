@@ -47,11 +47,16 @@ def read_point_field(path: Path, name: str | None, scale_mm: float) -> PointFiel
             f"{path} has the fields {', '.join(vectors)} with three components at its nodes: say which "
             "is the displacement as `field`"
         )
-    chosen = name if name is not None else next(iter(vectors), None)
-    if chosen is None or chosen not in vectors:
+    if not vectors:
         raise NotFound(
-            f"{path} has no field '{chosen or 'with three components'}' at its nodes; "
-            f"those with three components are {', '.join(vectors) or 'none'}"
+            f"{path} has no field with three components at its nodes, neither a vector nor three that differ "
+            "in X, Y and Z: save it with its displacement"
+        )
+    chosen = next(iter(vectors)) if name is None else name
+    if chosen not in vectors:
+        raise NotFound(
+            f"{path} has no field '{chosen}' at its nodes; those with three components are "
+            f"{', '.join(vectors)}"
         )
     points = np.zeros((len(nodes), 3))
     points[:, : nodes.shape[1]] = nodes

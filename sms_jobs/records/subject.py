@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -23,6 +24,16 @@ def checked_name(name: str, what: str) -> str:
             "beginning with a letter or digit"
         )
     return name
+
+
+def alike_but_for_case(names: Iterable[str]) -> tuple[str, str] | None:
+    """Return the first two names that differ only in case, which many disks take for one file; else None."""
+    known: dict[str, str] = {}
+    for name in names:
+        other = known.setdefault(name.lower(), name)
+        if other != name:
+            return other, name
+    return None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import OutboxRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost
 from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.running import doorbell, lifecycle, orders, queues, recovery
 from sms_jobs.records.job import ACTIVE, TRANSITIONS, JobState
 
@@ -149,6 +150,10 @@ def test_a_job_that_brings_its_worker_down_three_times_is_quarantined(catalogue:
         with catalogue.writing() as session:
             recovery.recover(session, NOW, "w1", 3, set)
     assert state(catalogue, first.job_id) is JobState.QUARANTINED
+    with catalogue.reading() as session:
+        said = inquiry.failure(session, chosen.of_campaign(session, "plate"))
+    assert said.count(f"'sms job retry {first.job_id[:8]}'") == 1
+    assert said.count(f"see 'sms job logs {first.job_id[:8]}'") == 1
     with catalogue.writing() as session:
         assert orders.retry(session, first.job_id, NOW) > 1
     assert state(catalogue, first.job_id) is JobState.QUEUED

@@ -51,6 +51,24 @@ def test_each_time_submits_once(catalogue: Catalogue) -> None:
     assert (view.last_outcome, view.next_fire) == (SUBMITTED, NOW + 3 * HOUR)
 
 
+def test_a_clock_that_was_ahead_and_is_set_back_stops_nothing_and_repeats_nothing(
+    catalogue: Catalogue,
+) -> None:
+    submit_pipeline(catalogue)
+    add(catalogue, "every 1h", missed_fire="skip")
+    assert outcomes(catalogue, 1.0) == [SUBMITTED]
+    assert outcomes(catalogue, 5.01) == ["missed"] * 3 + [SUBMITTED]
+    # For an hour, and then for a year: the times that have come and gone are not there again.
+    assert [outcomes(catalogue, hours) for hours in (4.2, 5.0, 5.5, 6.0)] == [[], [], [], [SUBMITTED]]
+    assert outcomes(catalogue, 365 * 24.0)[-1] == SUBMITTED
+    assert [outcomes(catalogue, hours) for hours in (6.5, 7.0, 7.5, 8.0)] == [
+        [],
+        [SUBMITTED],
+        [],
+        [SUBMITTED],
+    ]
+
+
 @pytest.mark.parametrize(
     ("policy", "late", "on_time"),
     [

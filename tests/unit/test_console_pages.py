@@ -14,7 +14,7 @@ from support.over_http import app_of, served
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
-from sms_jobs.app.work import jobs
+from sms_jobs.app.work import jobs, schedules
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.records.people import RIGHTS, Role
 from sms_jobs.web.console import PAGE_RULES, subjects
@@ -179,3 +179,15 @@ def test_what_a_role_may_not_do_is_neither_offered_nor_done(named: httpx2.Client
     }
     names = {right.value for right in rights}
     assert offered == {right: right in names for right in offered}
+
+
+def test_a_schedule_of_what_meets_a_question_leads_to_no_campaign_of_that_name(
+    desk: httpx2.Client, home: Path
+) -> None:
+    with bootstrap.services(home) as services:
+        schedules.add(services, "named", "every 1h", Work("plate", ("simulate",)))
+        schedules.add(services, "asked", "every 1h", Work("", ("simulate",)), where="load_n >= 0")
+    page = desk.get("/schedules").text
+    assert 'of <a href="/campaigns/plate">plate</a>' in page
+    assert "<td>simulate where load_n &gt;= 0</td>" in page
+    assert 'href="/campaigns/where' not in page

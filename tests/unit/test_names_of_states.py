@@ -28,6 +28,8 @@ def home(home: Path) -> Path:
         ("acquire plan plate --next --state S1", USAGE),
         ("data export --kind measurement -c plate --state S1", USAGE),
         ("campaign matrix plate --state S1", NOT_FOUND),
+        ("data find -c plate --state S1", NOT_FOUND),
+        ("data states -c plate --state S1", NOT_FOUND),
     ],
 )
 def test_a_state_that_there_is_not_is_refused_with_the_one_like_it(home: Path, words: str, code: int) -> None:
@@ -37,6 +39,19 @@ def test_a_state_that_there_is_not_is_refused_with_the_one_like_it(home: Path, w
     assert refused.stderr.count("\n") == 1
     for what in ("job", "schedule"):
         assert answer(what, "list", "--home", str(home)) == []
+
+
+@pytest.mark.parametrize("what", ["find", "states"])
+def test_a_state_that_no_campaign_has_is_not_found(home: Path, what: str) -> None:
+    at = ("--home", str(home))
+    refused = inside("data", what, "--state", "S1", *at)
+    assert refused.returncode == NOT_FOUND
+    assert "no campaign has a state S1; did you mean 'S01'; 'sms data states' shows" in refused.stderr
+    # One that is there and has nothing yet, and what a query asks itself, have an answer, which is none.
+    for there in (("--state", "S01", "--kind", "measurement"), ("measurement where state = S1",)):
+        found = inside("data", what, *there, *at)
+        assert (found.returncode, found.stdout) == (0, "")
+        assert "there is no such" in found.stderr
 
 
 def test_names_are_alike_whatever_their_case_and_only_where_they_are() -> None:

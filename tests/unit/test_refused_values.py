@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sms_jobs import settings
-from sms_jobs.errors import ConfigurationError, InvalidInput
+from sms_jobs.errors import ConfigurationError, InvalidInput, in_words
 from sms_jobs.kinds import all_kinds
 from sms_jobs.settings import FILE_NAME
 
@@ -51,3 +51,8 @@ def refusal(kind: str, name: str, value: object) -> str:
     except InvalidInput as error:
         return str(error).rpartition(" cannot be ")[2].removeprefix(repr(value))
     return ""
+
+
+def test_a_body_that_is_no_object_is_refused_in_words() -> None:
+    said = in_words("Input should be a valid dictionary or object to extract fields from")
+    assert said == "it should be an object"

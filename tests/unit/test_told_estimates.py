@@ -76,6 +76,8 @@ def test_who_waits_without_a_terminal_is_told_what_would_never_end(
         passed_s += 1.0
         assert (looks(nobody), looks(nobody)) == (told, "")
         assert "no worker serves the queue io: start 'sms up'" in looks(replace(nobody, unserved=("io",)))
+        held = looks(replace(KNOWN, paused=("cpu", "io")))
+        assert held.endswith("end in sight: the queue cpu, io is paused: 'sms queue list' says why\n")
 
 
 def test_who_interrupts_the_waiting_is_told_that_the_jobs_go_on(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.command import inside
-from support.homes import initialised
+from support.homes import initialised, make_home
 
 from sms_jobs.app.specimens.campaigns import example
 from sms_jobs.records.sizes import number_of
@@ -38,3 +38,23 @@ def test_a_list_without_jobs_says_whether_some_were_left_out(home: Path) -> None
     listed = inside("job", "list", "--home", str(home))
     assert listed.stderr == "there are no jobs yet; 'sms job submit' makes some\n"
     assert inside("job", "list", "--kind", "mesh", "--home", str(home)).stderr == "there is no such job\n"
+
+
+def test_a_kind_that_there_is_not_is_no_empty_list(home: Path) -> None:
+    initialised(home)
+    refused = inside("job", "list", "--kind", "meshes", "--home", str(home))
+    assert refused.returncode == 2
+    assert "there is no job kind 'meshes'; choose one of acquire, " in refused.stderr
+
+
+def test_waiting_for_what_has_ended_does_not_say_that_there_is_nothing(home: Path) -> None:
+    make_home(home, {})
+    waited = inside("job", "wait", "-c", "plate", "--home", str(home))
+    assert (waited.returncode, waited.stderr) == (0, "no job is active\n")
+
+
+def test_a_worker_that_there_is_not_is_said_to_be_none(home: Path) -> None:
+    initialised(home)
+    refused = inside("worker", "drain", "3f2a", "--home", str(home))
+    assert refused.returncode == 3
+    assert "there is no worker '3f2a'; 'sms worker list' shows them" in refused.stderr

@@ -18,6 +18,7 @@ from sms_jobs.formats.importers.folders import natural
 from sms_jobs.records.people import Right
 from sms_jobs.records.quantity import quantities
 from sms_jobs.records.shown.files import FileView
+from sms_jobs.records.subject import alike_but_for_case
 
 if TYPE_CHECKING:
     from sms_jobs.archive.dataset import ArchivedDataset
@@ -102,7 +103,8 @@ def export(services: Services, chosen: Chosen, out: Path | None, options: Export
     Raises
     ------
     InvalidInput
-        The choice, the format, the ending or the fields contradict each other or the file.
+        The choice, the format, the ending or the fields contradict each other or the file, or names of files
+        differ only in case.
     NotFound
         There is no such file, campaign or result.
     Conflict
@@ -114,6 +116,12 @@ def export(services: Services, chosen: Chosen, out: Path | None, options: Export
     if len(views) > 1 and out is not None and not out.is_dir():
         raise InvalidInput(f"{len(views)} files are to be written and {out} is no folder; make it first")
     planned = [_planned(services, view, out, options, len(views) > 1) for view in views]
+    alike = alike_but_for_case(str(target) for one in planned for target in one.targets)
+    if alike is not None:
+        raise InvalidInput(
+            f"{alike[0]} and {alike[1]} differ only in case, and many disks take them for one file: export "
+            "each `state` on its own, into folders of their own"
+        )
     return [path for one in planned for path in _export(services, one, options)]
 
 

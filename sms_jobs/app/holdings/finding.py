@@ -84,7 +84,7 @@ def find(services: Services, asked: Question, told: Portion = FIRST) -> Iterator
     InvalidInput
         A name is not known, or it is compared with what it cannot be compared with.
     NotFound
-        There is no such campaign or calibration.
+        There is no such campaign, calibration, or state that the question is restricted to.
     """
     names, columns = vocabulary(), told.columns
     extra = None if columns is None else [name for name in columns if name not in OF_FILE]

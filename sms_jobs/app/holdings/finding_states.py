@@ -32,7 +32,7 @@ def find_states(services: Services, asked: Question, told: Portion = FIRST) -> I
     InvalidInput
         A name is not known, or it is compared with what it cannot be compared with.
     NotFound
-        There is no such campaign, or no state to go on after.
+        There is no such campaign, no state that the question is restricted to, or none to go on after.
     """
     names = vocabulary()
 

@@ -162,7 +162,9 @@ def _of_the_catalogue(services: Services) -> dict[str, Examination]:
         "schema": drift,
         "counts of jobs": counts,
         "contents of the catalogue": contents,
-        "place of the catalogue": lambda: _one(health.database_on_network(catalogue), catalogue.describe()),
+        "place of the catalogue": lambda: _one(
+            health.database_on_network(catalogue) or health.held(catalogue), catalogue.describe()
+        ),
         "clock": lambda: _one(health.clock(catalogue, lease)),
     }
 

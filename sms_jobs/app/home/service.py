@@ -166,7 +166,8 @@ def drain(services: Services, worker: str) -> str:
         recent = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
         matching = [w.id for w in recent if worker and w.id.startswith(worker)]
         if len(matching) != 1:
-            raise NotFound(f"there is no one worker '{worker}'; 'sms worker list' shows them")
+            which = "are several workers" if matching else "is no worker"
+            raise NotFound(f"there {which} '{worker}'; 'sms worker list' shows them")
         recovery.drain(session, matching[0])
     return matching[0]
 

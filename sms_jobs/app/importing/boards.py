@@ -99,7 +99,7 @@ def arrange_boards(services: Services, task: Task) -> Arranged:
     named = named_cameras(task.cameras)
     described = _described(task)
     text, arrangement = arranged(listing, task.pattern, task.camera, None, named)
-    existing = existing_campaign(services, task.session)
+    existing = existing_campaign(services, task.session, task.rig)
     _check(existing, task.session, task.rig, described, arrangement, task.add_states)
     return Arranged(task, listing, text, arrangement, described, existing)
 

@@ -9,6 +9,7 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
+from sms_jobs.app.importing.copies import remarks_on_copies
 from sms_jobs.app.importing.image_entry import Counted
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, existing_campaign, outcome_of
 from sms_jobs.app.progress import Tell, nobody
@@ -34,6 +35,7 @@ from sms_jobs.jobs.archiving.importing import (
     amend_campaign,
     existing_measurement,
     import_measurement,
+    imported_files,
     with_states,
 )
 from sms_jobs.jobs.archiving.registration import register_campaign
@@ -105,7 +107,7 @@ def guess(services: Services, task: Task) -> Guessed:
     Raises `InvalidInput` for a folder or a layout that cannot be read.
     """
     listing = list_folder(task.folder, task.only)
-    existing = existing_campaign(services, task.campaign)
+    existing = existing_campaign(services, task.campaign, task.rig)
     table = with_options({} if task.layout is None else load_layout(task.layout), dict(task.layout_values))
     guessed = guess_layout(listing, table, None if existing is None else existing.sequence)
     return Guessed(task, listing, guessed, existing)
@@ -261,6 +263,8 @@ class _Import:
         cameras = {one.found: camera for one, camera in zip(good, models, strict=True)}
         remarks += found
         remarks += self._calibrated_otherwise(definition.rig, good)
+        known = imported_files(self.services.catalogue, self.services.archive, definition.name)
+        remarks += remarks_on_copies(good, known)
         if good and not dry_run:
             self._prepare(definition)
         counted, rows = Counted(tell, "importing", len(inspected)), []

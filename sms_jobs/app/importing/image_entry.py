@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
+from sms_jobs.app.importing.copies import remarks_on_copies
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, outcome_of
 from sms_jobs.app.progress import Step, Tell
 from sms_jobs.app.rules import use_case
@@ -24,7 +25,12 @@ from sms_jobs.formats.importers.image_sets import (
     of_one_size,
 )
 from sms_jobs.formats.importers.inspection import Inspected, full_scales_of, inspect, usual_noise
-from sms_jobs.jobs.archiving.importing import amend_campaign, existing_measurement, import_measurement
+from sms_jobs.jobs.archiving.importing import (
+    amend_campaign,
+    existing_measurement,
+    import_measurement,
+    imported_files,
+)
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.sizes import number_of
@@ -121,25 +127,6 @@ def _blank(good: list[Inspected]) -> list[str]:
     return [remark]
 
 
-def _same(good: list[Inspected]) -> list[str]:
-    """Return a remark on images of one content, which no camera records twice; none where there are none."""
-    files: dict[str, list[str]] = {}
-    for one in good:
-        for name, about in one.facts.items():
-            if about.at_highest < 1.0:
-                files.setdefault(about.sha256, []).append(name)
-    groups = [names for names in files.values() if len(names) > 1]
-    if not groups:
-        return []
-    first, more = " and ".join(groups[0][:3]), len(groups) - 1
-    besides = f", and so have those of {number_of(more, 'other group')}" if more else ""
-    remark = (
-        f"{first} have the same content{besides}: noise alone tells two recordings apart, so one file was "
-        "copied over another, and nothing measured would be found between them"
-    )
-    return [remark]
-
-
 def _saturated(good: list[Inspected], scales: Sequence[int]) -> list[str]:
     """Return a remark on images of which more saturates than glints do; none where there is no such image."""
     every = {
@@ -197,7 +184,9 @@ class EnteredImages:
         good = [one for one in inspected if not one.found.faults]
         remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
         cameras = dict(zip(map(id, good), self._cameras(good, remarks), strict=True)) if good else {}
-        remarks += _same(good) if self.noise_counts else []
+        if self.noise_counts:
+            catalogue, archive = self.services.catalogue, self.services.archive
+            remarks += remarks_on_copies(good, imported_files(catalogue, archive, self.campaign))
         counted, rows = Counted(self.tell, "importing", len(inspected)), []
         for one in inspected:
             camera = cameras.get(id(one))

@@ -16,6 +16,7 @@ from sms_jobs.formats.importers.frames import Arrangement, FoundTuple, abridged
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.common_view import CommonView, common_view
+from sms_jobs.records.shown.times import valid_from
 from sms_jobs.records.views import Role, View, view_of
 
 if TYPE_CHECKING:
@@ -241,7 +242,7 @@ def without_calibration(
         )
     else:
         words = (
-            f"the first calibration of rig {campaign.rig} is valid from {used[0].valid_from.isoformat()}, "
+            f"the first calibration of rig {campaign.rig} is {valid_from(used[0].valid_from)}, "
             f"and the first image was recorded at {min(times).isoformat()}: give `recorded_at`, or import "
             f"an earlier calibration, since {shape} measures nothing without one"
         )

@@ -105,10 +105,15 @@ class Task:
     views: str | None = None
     alone: bool = False
     reference: str | None = None
-    rig: str = "camera"
+    rig: str | None = None
     specimen: str | None = None
     add_states: bool = False
     made_by: Camera = field(default_factory=Camera)
+
+    @property
+    def new_rig(self) -> str:
+        """The rig of a campaign that is to be made."""
+        return self.rig or "camera"
 
 
 @dataclass(frozen=True)
@@ -145,16 +150,16 @@ def arrange_images(services: Services, task: Task) -> Arranged:
     raw = None if camera.raw is None else RawFormat.parse(camera.raw)
     settings = CameraSettings(raw, camera.full_scale, camera.gain, camera.read_noise)
     text, arrangement = arranged(listing, task.pattern, task.camera, task.reference, named)
-    existing = existing_campaign(services, task.campaign)
+    existing = existing_campaign(services, task.campaign, task.rig)
     with services.catalogue.reading() as session:
-        used = _used(session, existing, task.rig)
+        used = _used(session, existing, task.new_rig)
         there = set() if existing is None else measured_tuples(session, existing)
     views = _views(services, task, existing, _in_order(arrangement, named), used)
     arrangement = _of_views(arrangement, views.views, existing)
     campaign = existing or _new(task, arrangement, views.views)
     lacking = lacking_by_state(arrangement, campaign, there)
     arrangement = of_whole_states(arrangement, lacking)
-    definition = _definition(existing, campaign, lacking, arrangement, task.add_states)
+    definition = _definition(existing, campaign, lacking, arrangement, task)
     return Arranged(
         task.campaign, listing, settings, text, arrangement, existing, definition, views.remarks, used
     )
@@ -226,7 +231,7 @@ def _views(
     if len(cameras) > 2 and used:
         number = used[-1].number
         calibration = number, known_calibration(services.catalogue, services.archive, number).calibration
-    return views_of_all(cameras, task.rig, calibration)
+    return views_of_all(cameras, task.new_rig, calibration)
 
 
 def _of_views(arrangement: Arrangement, views: Sequence[str], existing: Campaign | None) -> Arrangement:
@@ -252,7 +257,7 @@ def _new(task: Task, arrangement: Arrangement, views: tuple[str, ...]) -> Campai
     return Campaign(
         name=task.campaign,
         specimen=Specimen(task.specimen or task.campaign),
-        rig=task.rig,
+        rig=task.new_rig,
         states=tuple(map(LoadState, arrangement.labels)) or (LoadState("S00"),),
         views=views or ("C1",),
     )
@@ -263,7 +268,7 @@ def _definition(
     campaign: Campaign,
     lacking: Mapping[str, Sequence[str]],
     arrangement: Arrangement,
-    add_states: bool,
+    task: Task,
 ) -> Campaign:
     """Return the campaign as it has to be; raise where what there is contradicts the files."""
     if existing is None:
@@ -281,9 +286,14 @@ def _definition(
                 "`reference`, or set `alone` if the cameras do not measure together"
             )
         return replace(campaign, states=tuple(s for s in campaign.states if s.label not in lacking))
+    if task.reference not in (None, existing.reference.label):
+        raise InvalidInput(
+            f"campaign {existing.name} has the reference {existing.reference.label}, which stays: leave out "
+            "`reference`, or import into another campaign"
+        )
     definition = with_states(existing, (label for label in arrangement.labels if label not in lacking))
     added = [s.label for s in definition.states[len(existing.states) :]]
-    if added and not add_states:
+    if added and not task.add_states:
         raise InvalidInput(
             f"campaign {existing.name} has no state {', '.join(added[:5])}: set `add_states` to add "
             f"{len(added)}"

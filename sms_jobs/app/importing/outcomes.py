@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
-from sms_jobs.errors import NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.formats.importers.folders import LeftOut
 from sms_jobs.formats.importers.inspection import Inspected
 from sms_jobs.records.people import Right
@@ -58,13 +58,22 @@ class Outcome:
 
 
 @use_case(Right.READ)
-def existing_campaign(services: Services, name: str) -> Campaign | None:
-    """Return a campaign; None where there is none of that name."""
+def existing_campaign(services: Services, name: str, rig: str | None = None) -> Campaign | None:
+    """Return a campaign; None where there is none of that name.
+
+    Raises `InvalidInput` where it is measured by another rig than the one that is named.
+    """
     with services.catalogue.reading() as session:
         try:
-            return campaigns.definition(campaigns.campaign_row(session, name))
+            existing = campaigns.definition(campaigns.campaign_row(session, name))
         except NotFound:
             return None
+    if rig not in (None, existing.rig):
+        raise InvalidInput(
+            f"campaign {name} is measured by rig {existing.rig}, which stays: leave out `rig`, or import "
+            "into another campaign"
+        )
+    return existing
 
 
 def outcome_of(one: Inspected, outcome: str, detail: str) -> TupleOutcome:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.campaigns import campaign_row, state_ids
-from sms_jobs.errors import NotFound, did_you_mean
+from sms_jobs.catalogue.campaigns import campaign_row, refuse_unknown_states
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.cells import Cell
 from sms_jobs.records.views import place_of_view
@@ -52,12 +51,5 @@ def matrix(services: Services, campaign: str, states: Sequence[str] = ()) -> lis
     with services.catalogue.reading() as session:
         row = campaign_row(session, campaign)
         wanted = frozenset(states)
-        known = state_ids(session, row.id) if wanted else {}
-        unknown = sorted(wanted - known.keys())
-        if unknown:
-            meant = did_you_mean(unknown[0], known)
-            raise NotFound(
-                f"campaign {campaign} has no state {unknown[0]}; {meant}"
-                f"'sms campaign show {campaign}' shows its own"
-            )
+        refuse_unknown_states(session, campaign, wanted)
         return campaign_matrix.matrix(session, row, datetime.now(UTC), wanted)

@@ -203,12 +203,23 @@ def list_jobs(
     after
         Id of the last job that is known already.
 
-    Raises `NotFound` where there is no such campaign, or no such job.
+    Raises
+    ------
+    NotFound
+        There is no such campaign, or no such job.
+    InvalidInput
+        No job is of that kind, and none can be.
     """
     with services.catalogue.reading() as session:
-        return inquiry.list_jobs(
+        found = inquiry.list_jobs(
             session, campaign=campaign, states=states, kind=kind, limit=limit, after=after
         )
+    if kind is not None and not found:
+        # It loads every kind, for which those who ask for one that there is need not wait.
+        from sms_jobs.kinds import kind_named
+
+        kind_named(kind)
+    return found
 
 
 @dataclass(frozen=True)

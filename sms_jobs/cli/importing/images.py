@@ -44,7 +44,9 @@ Alone: TypeAlias = Annotated[
 Reference: TypeAlias = Annotated[
     str | None, typer.Option(help="State that displacements start from; the first if not given.")
 ]
-NewRig: TypeAlias = Annotated[str, typer.Option(help="Rig of a campaign that is to be made.")]
+NewRig: TypeAlias = Annotated[
+    str | None, typer.Option(help="Rig of a campaign that is to be made; camera if not given.")
+]
 
 
 def images(
@@ -57,7 +59,7 @@ def images(
     alone: Alone = False,
     reference: Reference = None,
     only: Only = None,
-    rig: NewRig = "camera",
+    rig: NewRig = None,
     specimen: SpecimenName = None,
     recorded_at: RecordedAt = None,
     full_scale: FullScale = None,
@@ -118,7 +120,7 @@ def _preview(found: Arranged) -> None:
     output.say(f"views     {', '.join(found.definition.views)}")
     for remark in found.remarks:
         output.say(f"note: {remark}")
-    output.say(f"reference {arrangement.states[0]}")
+    output.say(f"reference {found.definition.reference.label}")
     for one in arrangement.tuples[:MOST_SHOWN]:
         output.say(f"  {one.white}  state {one.state}, camera {one.view}")
     if len(arrangement.tuples) > MOST_SHOWN:

@@ -321,7 +321,16 @@ def _full_scale_of(facts: Sequence[ImageFacts], raw: RawFormat | None, remarks: 
     highest = max(f.highest for f in facts)
     unused = min(f.lowest_bits for f in facts)
     if 0 < unused < 8 and highest > 255:
-        full_scale = 65_535 >> unused << unused
+        possible = [scale >> unused << unused for scale in _FULL_SCALES]
+        low = [scale for scale in possible if highest <= scale < 4096]
+        if low:
+            raise InvalidInput(
+                f"the lowest {unused} bits of 16-bit files are never used, and their highest grey level is "
+                f"{highest}: their full scale can be {low[0]} or {possible[-1]}, with a noise to match; give "
+                "`full_scale`"
+            )
+        # A camera that ends below the highest bits is known by a level that is exactly its last.
+        full_scale = highest if highest in possible else possible[-1]
         remarks.append(f"the lowest {unused} bits are never used: full scale {full_scale}")
         return full_scale
     if highest <= 255:

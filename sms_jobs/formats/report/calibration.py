@@ -15,6 +15,7 @@ from sms_jobs.metrology.geometry.camera import PER_POSE
 from sms_jobs.metrology.geometry.lens import LENS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty
 from sms_jobs.records.sensors import Calibration, Rig, Sensor
+from sms_jobs.records.shown.times import with_unknown_times
 
 MICROMETRES = 1e3
 
@@ -75,7 +76,7 @@ def _summary(calibration: Calibration, quality: CalibrationQuality) -> Markup:
             ("world", quality.gauge),
             ("scale", quality.scale),
             ("shape, scale apart", _shape(quality, diagonal)),
-            ("began with", quality.started_from),
+            ("began with", with_unknown_times(quality.started_from)),
             ("adjustment", f"{size}, {quality.iterations} iterations"),
             ("held-out bar lengths", lengths),
             *((name, f"{value:.6g}") for name, value in quality.labelled().items()),

@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.valid_calibrations import UsedCalibration, ValidCalibrations
 from sms_jobs.errors import NotFound
+from sms_jobs.records.shown.times import valid_from
 from sms_jobs.records.subject import Subject
 
 
@@ -24,11 +25,11 @@ def holding(session: Session, valid: ValidCalibrations, rig: str, subject: Subje
     if found is not None:
         return found
     if valid.used:
-        first = valid.used[0]
+        first, at = valid.used[0], valid.time_of(subject).isoformat(" ", "seconds")
         raise NotFound(
-            f"{subject} is of {_shown(valid.time_of(subject))}, and the first calibration that is used for "
-            f"it, {first.number}, is valid from {_shown(first.valid_from)} on: import or certify one that "
-            "is valid from an earlier time"
+            f"{subject} is of {at}, and the first calibration that is used for "
+            f"it, {first.number}, is {valid_from(first.valid_from)}: import or certify one that is valid "
+            "from an earlier time"
         )
     waiting = [view.id for view in search.list_calibrations(session, rig) if not view.in_use]
     if not waiting:
@@ -37,10 +38,6 @@ def holding(session: Session, valid: ValidCalibrations, rig: str, subject: Subje
         f"{subject} needs a calibration of rig {rig}, and none is in use for that rig; "
         f"'sms calibration accept {waiting[0]}' takes the latest into use, 'sms calibration list' shows all"
     )
-
-
-def _shown(time: datetime) -> str:
-    return time.isoformat(" ", "seconds")
 
 
 def chosen(session: Session, subject: Subject, now: datetime) -> UsedCalibration | None:

@@ -102,6 +102,34 @@ def measured_tuples(session: Session, campaign: Campaign) -> set[tuple[str, str]
     return {(label, view) for label, view in session.execute(query)}
 
 
+@dataclass(frozen=True)
+class ImportedFile:
+    """A file that a measurement in the archive was made of: its tuple, its name and its SHA-256."""
+
+    subject: Subject
+    name: str
+    sha256: str
+
+
+def imported_files(catalogue: Catalogue, archive: Archive, campaign: str) -> list[ImportedFile]:
+    """Return the files that the measurements of a campaign were made of, the newest of each tuple alone."""
+    query = (
+        select(LoadStateRow.label, FileRow.view, FileRow.path)
+        .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
+        .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
+        .where(FileRow.source == MEASUREMENT, CampaignRow.name == campaign, FileRow.view.is_not(None))
+        .order_by(FileRow.id)
+    )
+    with catalogue.reading() as session:
+        newest = {Subject(campaign, label, view): path for label, view, path in session.execute(query)}
+    found = []
+    for subject, path in newest.items():
+        provenance = archive.provenance(path)
+        files = [] if provenance is None else provenance.parameters.get("files", [])
+        found += [ImportedFile(subject, one["name"], one["sha256"]) for one in files]
+    return found
+
+
 def import_measurement(
     catalogue: Catalogue,
     archive: Archive,
@@ -211,14 +239,16 @@ def with_state(campaign: Campaign, state: LoadState) -> Campaign:
     Raises
     ------
     Conflict
-        It has a state of that label.
+        It has a state of that label, or of one that differs only in case.
     InvalidInput
         It is a calibration session.
     """
     if campaign.session is not None:
         raise InvalidInput(f"{campaign.name} is a calibration session, whose poses are those of its plan")
-    if any(state.label == one.label for one in campaign.states):
-        raise Conflict(f"campaign {campaign.name} has a state {state.label} already; choose another label")
+    for there in (one.label for one in campaign.states):
+        if there.lower() == state.label.lower():
+            but = "" if there == state.label else f", from which {state.label} differs only in case"
+            raise Conflict(f"campaign {campaign.name} has a state {there} already{but}; choose another label")
     return replace(campaign, states=(*campaign.states, state))
 
 

@@ -17,6 +17,7 @@ from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.errors import InvalidInput
 from sms_jobs.jobs.archiving import decisions
 from sms_jobs.jobs.archiving.acceptances import decided
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN, calibration_file
@@ -26,7 +27,7 @@ from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.products import CALIBRATED, Product
 from sms_jobs.records.calibration import NOBODY, Acceptance, Signed
 from sms_jobs.records.campaign import Campaign, CampaignDefinition
-from sms_jobs.records.subject import RESERVED_NAME, Subject
+from sms_jobs.records.subject import RESERVED_NAME, Subject, alike_but_for_case
 
 if TYPE_CHECKING:
     from sms_jobs.records.sensors import Calibration
@@ -45,11 +46,12 @@ def register_campaign(
     Raises
     ------
     Conflict
-        There is a campaign of that name; nothing is changed.
+        There is a campaign of that name, or of one that differs only in case; nothing is changed.
     InvalidInput
         It sets a parameter that its job kind does not take, or declares a gauge outside of the only images
-        that it is read from; nothing is changed.
+        that it is read from, or two of its states differ only in case; nothing is changed.
     """
+    _refuse_alike_states(campaign)
     for name, parameters in campaign.processing.items():
         kind_named(name).checked_parameters(parameters)
     if campaign.processing:
@@ -59,14 +61,14 @@ def register_campaign(
         calibrated = None if calibration is None else calibration.rig
         check_declared(campaign, calibrated if campaign.scene is None else campaign.scene.rig)
     with catalogue.reading() as session:
-        campaigns.refuse_taken_name(session, campaign.name)
+        campaigns.refuse_taken_name(session, campaign.name, even_in_case=True)
     with Repository(catalogue, archive).batch() as batch:
         batch.seal({CAMPAIGN: CampaignDefinition(campaign, plan)}, defined(campaign.name, now))
         if calibration is not None:
             made = batch.seal({CALIBRATION: calibration}, _brought(calibration, now)).sealed
             own = Acceptance(calibration.rig.name, made.content_hash, campaign.name)
             batch.seal({ACCEPTANCE: own}, decided(own, _path(catalogue, made), now))
-        batch.enter(lambda session: campaigns.refuse_taken_name(session, campaign.name))
+        batch.enter(lambda session: campaigns.refuse_taken_name(session, campaign.name, even_in_case=True))
 
 
 def defined(campaign: str, at: datetime) -> Provenance:
@@ -152,3 +154,13 @@ def _path(catalogue: Catalogue, sealed: Sealed) -> str:
     with catalogue.reading() as session:
         number = calibration_file(session, sealed.content_hash)
         return sealed.path if number is None else session.get_one(FileRow, number).path
+
+
+def _refuse_alike_states(campaign: Campaign) -> None:
+    """Raise `InvalidInput` where two states differ only in case: exports write files by these names."""
+    alike = alike_but_for_case(state.label for state in campaign.states)
+    if alike is not None:
+        raise InvalidInput(
+            f"the states {alike[0]} and {alike[1]} of campaign {campaign.name} differ only in case, and many "
+            "disks take files of theirs for one; choose another label"
+        )

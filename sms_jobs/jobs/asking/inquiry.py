@@ -180,7 +180,10 @@ class WorkerView:
 
 
 def workers(session: Session, since: datetime) -> list[WorkerView]:
-    """Return the workers that have given a sign of life since a time."""
+    """Return the workers that have given a sign of life since a time.
+
+    Those that were on this machine, and whose process is gone since, are left out.
+    """
     running = (
         select(func.count())
         .where(JobRow.worker_id == WorkerRow.id, JobRow.state == JobState.RUNNING)
@@ -189,13 +192,21 @@ def workers(session: Session, since: datetime) -> list[WorkerView]:
     )
     rows = session.execute(
         select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
-    )
+    ).all()
+    if not rows:
+        return []
+    # Which nothing else here needs, and a home without workers neither.
+    from sms_jobs.jobs.running.origin import Origin, is_gone
+    from sms_jobs.jobs.running.witness import origin_of
+
+    here = Origin.own()
     return [
         WorkerView(
             *(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining),
             *(w.held_for, count),
         )
         for w, count in rows
+        if not is_gone(w.pid, origin_of(w), here)
     ]
 
 
@@ -270,9 +281,8 @@ def failure(session: Session, some: Chosen) -> str:
     )
     if row is None:
         return "they were skipped; see 'sms job list'"
+    said = f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}"
     # What waits for an operator is a recording.
     again = "sms acquire resume" if row.state is JobState.NEEDS_OPERATOR else "sms job retry"
-    return (
-        f"the last was {row.kind} {row.subject}, {row.state.value}: {row.message}; "
-        f"see 'sms job logs {row.id[:SHORT_ID]}', then '{again} {row.id[:SHORT_ID]}'"
-    )
+    then = f"'{again} {row.id[:SHORT_ID]}'"
+    return said if then in said else f"{said}; see 'sms job logs {row.id[:SHORT_ID]}', then {then}"

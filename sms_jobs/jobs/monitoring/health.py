@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -126,6 +128,27 @@ def database_on_network(catalogue: Catalogue) -> str | None:
         f"the catalogue {path} is on a network file system ({mounts[mount]}), where SQLite may lose data; "
         "move the home to a disk of this machine, or go to PostgreSQL with 'sms db copy'"
     )
+
+
+def held(catalogue: Catalogue, patience_s: float = _LOOK_FOR_S) -> str | None:
+    """Find that nobody can write into an SQLite catalogue, since a process that is stopped holds its lock."""
+    file = catalogue.engine.url.database
+    if catalogue.dialect != "sqlite" or not file:
+        return None
+    try:
+        with closing(
+            sqlite3.connect(f"{Path(file).resolve().as_uri()}?mode=rw", patience_s, uri=True)
+        ) as own:
+            own.execute("BEGIN IMMEDIATE")
+            own.rollback()
+    except sqlite3.OperationalError as error:
+        # An account that only reads cannot tell.
+        if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
+            return (
+                f"nobody else could write into the catalogue for {patience_s:.0f} s: 'fuser -v {file}' names "
+                "who has it open; continue the process that is stopped, or end it"
+            )
+    return None
 
 
 def room(root: Path, least_bytes: float) -> str | None:

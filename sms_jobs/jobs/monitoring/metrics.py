@@ -170,7 +170,7 @@ def _of_schedules(session: Session, now: datetime) -> Gauge:
     )
     last = (
         select(func.max(ScheduleFireRow.fire_time))
-        .where(ScheduleFireRow.schedule_id == ScheduleRow.id)
+        .where(ScheduleFireRow.schedule_id == ScheduleRow.id, ScheduleFireRow.fire_time <= now)
         .correlate(ScheduleRow)
         .scalar_subquery()
     )

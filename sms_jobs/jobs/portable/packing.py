@@ -24,7 +24,7 @@ from sqlalchemy.orm import Session
 import sms_jobs
 from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.archive.folder import inside
-from sms_jobs.archive.place import says_full
+from sms_jobs.archive.place import says_full, says_too_large
 from sms_jobs.archive.repacking import repack
 from sms_jobs.archive.sealing import make_folders, sha256_of, sync
 from sms_jobs.catalogue import campaigns
@@ -272,6 +272,10 @@ def bring(
             if says_full(error):
                 raise StorageFull(
                     f"the disk of {folder} is full; free some space and export again"
+                ) from error
+            if says_too_large(error):
+                raise StorageFull(
+                    f"the disk of {folder} takes no file as large as {relative}; export to another disk"
                 ) from error
             raise
         one = CrateFile(

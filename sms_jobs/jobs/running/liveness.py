@@ -42,7 +42,9 @@ class _Workers:
     def lately(cls, session: Session, now: datetime) -> _Workers:
         query = select(WorkerRow).where(WorkerRow.beat_at >= now - _MISSED_FOR).order_by(WorkerRow.started_at)
         rows = session.scalars(query).all()
-        return cls(rows, [row for row in rows if now - row.beat_at <= ALIVE_WITHIN])
+        here = Origin.own()
+        beating = (row for row in rows if now - row.beat_at <= ALIVE_WITHIN)
+        return cls(rows, [row for row in beating if not is_gone(row.pid, origin_of(row), here)])
 
     @property
     def serving(self) -> list[WorkerRow]:

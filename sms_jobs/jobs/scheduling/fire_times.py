@@ -72,7 +72,7 @@ def parse_expression(text: str, zone: str) -> Expression:
     if form == "at":
         return Expression("at", _moment(what, where).isoformat(), where)
     if form == "every":
-        return Expression("every", f"{_seconds(what):g}", where)
+        return Expression("every", f"{_seconds(what):.15g}", where)
     if form == "after" and what:
         return Expression("after", what, where)
     raise InvalidInput(f"'{text}' is no schedule; write cron, at, every or after, and what follows it")
@@ -117,7 +117,8 @@ def _seconds(text: str) -> float:
 
 
 def _interval(seconds: float) -> str:
-    """Write an interval in the largest unit of which it is a whole number; nothing of it is rounded away."""
+    """Write an interval to the millisecond, in the largest unit of which it then is a whole number."""
+    seconds = round(seconds, 3)
     unit = next((unit for unit in reversed(_UNITS_S) if not seconds % _UNITS_S[unit]), "s")
     return f"{seconds / _UNITS_S[unit]:.15g} {_IN_WORDS.get(unit, unit)}"
 

@@ -82,11 +82,12 @@ def _due(session: Session, now: datetime) -> list[_Due]:
 def _passed(session: Session, row: ScheduleRow, now: datetime) -> list[datetime]:
     """Return the times of a schedule that have passed since the last one that was dealt with."""
     expression = expression_of(row)
-    last = session.scalar(
-        select(func.max(ScheduleFireRow.fire_time)).where(ScheduleFireRow.schedule_id == row.id)
-    )
+    latest = select(func.max(ScheduleFireRow.fire_time)).where(ScheduleFireRow.schedule_id == row.id)
     if expression.form == "after":
-        return [row.created_at] if last is None and _has_ended(session, expression.what) else []
+        waits = session.scalar(latest) is None
+        return [row.created_at] if waits and _has_ended(session, expression.what) else []
+    # A clock that was ahead may have dealt with times to come: those before them are due all the same.
+    last = session.scalar(latest.where(ScheduleFireRow.fire_time <= now))
     # A time given to the minute may be a little before the schedule was entered.
     since = last or row.created_at - timedelta(seconds=row.grace_s if expression.form == "at" else 0.0)
     return times_until(expression, row.created_at, since, now, _MOST_AT_ONCE)

@@ -32,6 +32,7 @@ from sms_jobs.records.subject import checked_name
 if TYPE_CHECKING:
     from sms_jobs.records.campaign import Campaign
 
+_FIELDS = 5
 MissedFire: TypeAlias = Literal["skip", "once", "all"]
 """What becomes of fire times that nobody looked at in time: none, the last one, or each of them."""
 
@@ -148,6 +149,12 @@ def add(
         raise InvalidInput(
             f"{expression.what} is past, by more than {grace.total_seconds():g} s of grace; give one to come"
         )
+    if expression.form == "cron" and len(expression.what.split()) > _FIELDS:
+        # With a sixth the first would be seconds, and an asterisk too many another time of the day.
+        raise InvalidInput(
+            f"'{expression.what}' has more than the {_FIELDS} fields of a cron expression: give minute, "
+            "hour, day, month, weekday, without seconds"
+        )
     if expression.form == "cron" and not next_times(expression, now, now, 1):
         raise InvalidInput(f"'{expression.what}' is at no time to come; give days that there are")
     with catalogue.writing() as session:
@@ -239,9 +246,9 @@ def schedules(session: Session, now: datetime) -> list[ScheduleView]:
 
 
 def coming(session: Session, name: str, now: datetime, count: int) -> list[datetime]:
-    """Return the next times of a schedule; none for one that waits for a campaign."""
+    """Return the next times of a schedule; none for one that is paused, or waits for a campaign."""
     row = _required(session, name)
-    return next_times(expression_of(row), row.created_at, now, count)
+    return [] if row.paused else next_times(expression_of(row), row.created_at, now, count)
 
 
 def calendar(session: Session, first: date, days: int, zone: ZoneInfo, now: datetime) -> list[FiringsOfDay]:

@@ -42,6 +42,9 @@ from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject, checked_name
 
+_FAR_OFF = 6.0
+"""How far points may miss each other, in deviations that are stated, without a remark."""
+
 _ROUNDS = 2  # the second starts from what the first found, and so finds points at the rim of the overlap
 
 
@@ -134,7 +137,8 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
             f"alignment_scale_{number}": found.scale,
             f"points_{number}": float(len(points.here)),
         }
-        progress(number / len(parameters.views), f"aligned {name} by {number_of(len(points.here), 'point')}")
+        done = f"aligned {name} by {number_of(len(points.here), 'point')}{_misfit(points, found)}"
+        progress(number / len(parameters.views), done)
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
@@ -176,6 +180,18 @@ def _start(here: list[View], there: list[View], range_rotation: float, threads: 
         with suppress(MeasurementFailed):
             return overlapping(a, b, range_rotation, threads)
     return overlapping(here[-1], there[-1], range_rotation, threads)
+
+
+def _misfit(points: CommonPoints, found: Alignment) -> str:
+    """Return how far the points miss each other, and how that may be, where it is far more than is stated."""
+    if found.scale <= _FAR_OFF:
+        return ""
+    here, there = (np.var(p[found.used], axis=0).sum() for p in (points.here, points.there))
+    return (
+        f", which miss each other by {found.rms_mm:.2g} mm, {found.scale:.0f} times what is stated: lengths "
+        f"there are {np.sqrt(there / here):.4f} of those here; see whether both calibrations have one scale, "
+        "and whether the specimen had one shape"
+    )
 
 
 def _record(name: str, points: CommonPoints, found: Alignment) -> ViewAlignment:

@@ -34,6 +34,7 @@ from sms_jobs.kinds.deformation.followed_partners import (
     followed_field,
     needs_of_partners,
 )
+from sms_jobs.kinds.deformation.ray_gaps import told_of_gaps
 from sms_jobs.kinds.deformation.textured_state import (
     CALIBRATION_OF_SHAPE,
     TexturedState,
@@ -147,7 +148,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     else:
         field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
-    progress(1.0, "looked up the displacement")
+    progress(1.0, f"looked up the displacement{told_of_gaps(before.surface, after.surface)}")
     yield DatasetOutput(
         inputs.subject,
         {

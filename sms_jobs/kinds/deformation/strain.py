@@ -43,7 +43,7 @@ from sms_jobs.metrology.deformation.strain.square import (
     strain_over_squares,
 )
 from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors, Window
-from sms_jobs.metrology.deformation.strain.tangent_plane import SurfaceStrain, surface_strain
+from sms_jobs.metrology.deformation.strain.tangent_plane import LEAST_PIXELS, SurfaceStrain, surface_strain
 from sms_jobs.metrology.geometry.planes import in_space
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, StrainField, StrainMeasure, Surface
@@ -54,6 +54,8 @@ from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
 _USUAL_MM, _USUAL_PX, _USUAL_SQUARE_PX = 20.0, 60.0, 7
+_LEAST_PX = 4.0
+"""Shortest gauge: a disc about a pixel that reaches its second neighbours."""
 _MOST_DIAGONALS = 2.0
 """Longest gauge, in diagonals of the image: a disc about any pixel then covers all of it."""
 
@@ -179,6 +181,18 @@ def _gauge_of(surface: Surface, pitch: float, parameters: StrainParameters) -> _
     return _Gauge(length, 0.5 * length / pitch)
 
 
+def _refuse_too_short(surface: Surface, gauge: _Gauge) -> None:
+    """Raise `InvalidInput` where a disc is so small that no pixel has enough others about it."""
+    length_px = 2.0 * gauge.disc_radius_px
+    if gauge.square_px is None and length_px < _LEAST_PX:
+        raise InvalidInput(
+            f"a gauge length of {gauge.length:g} {surface.unit} is {length_px:.3g} px in the image of "
+            f"{surface.view}, and strain is fitted to at least {LEAST_PIXELS} pixels, which a disc of "
+            f"{_LEAST_PX:g} px, {_LEAST_PX * gauge.length / length_px:.3g} {surface.unit}, holds: give a "
+            "longer one"
+        )
+
+
 def _strained(
     inputs: Inputs,
     surface: Surface,
@@ -230,6 +244,8 @@ def run(inputs: Inputs, parameters: StrainParameters, progress: Progress) -> Ite
     found = _strained(inputs, surface, moved, regions.labels, gauge, parameters)
     reason = moved.reason.copy()
     reason[(reason == Reason.VALID) & np.isnan(found.strain[0])] = Reason.TOO_FEW_NEIGHBOURS
+    if (moved.reason == Reason.VALID).any() and not (reason == Reason.VALID).any():
+        _refuse_too_short(surface, gauge)
     field = StrainField(
         parameters.measure,
         moved.unit,

@@ -91,6 +91,9 @@ class ReconstructParameters(PhaseParameters):
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
 _CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED, UNCERTAINTY))
 
+_MOST_APART = 0.75
+"""Part of the points whose rays may miss each other without a remark."""
+
 
 def _needs(campaign: Campaign, subject: Subject, parameters: ReconstructParameters) -> Iterable[Need]:
     yield _FRAMES.of(subject)
@@ -130,7 +133,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, "triangulated")
+    progress(1.0, f"triangulated{_told_of_gaps(reason)}")
     if found.returns is not None:
         records[RETURNS] = found.returns
         statistics |= _pair_statistics(reason, found.returns)
@@ -139,6 +142,19 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     if phase.exposure is not None:
         statistics |= _exposure_statistics(phase.exposure, measurement.sequence.exposures)
     yield DatasetOutput(inputs.subject, records, statistics)
+
+
+def _told_of_gaps(reason: Reasons) -> str:
+    """Return what it means that the rays of most points miss each other; empty where they do not."""
+    apart = int(np.count_nonzero(reason & Reason.LARGE_RAY_GAP))
+    part = apart / max(apart + int(np.count_nonzero(reason == Reason.VALID)), 1)
+    if part <= _MOST_APART:
+        return ""
+    return (
+        f"; {part:.0%} of the rays miss each other: a sensor has moved since it was calibrated, or it is the "
+        "calibration of another rig; what is left may be off as much, with too much noise to show it: "
+        "calibrate again, or state by calibration_sigma_px how well the calibration is known"
+    )
 
 
 def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: Blur) -> dict[str, float]:

@@ -22,6 +22,7 @@ _BINS = 12
 _LEAST = 400  # pixels of a bin: a standard deviation from them is good to 4 %
 _LEAST_SWING = 4  # grey levels that a pixel's frames span: rounding is no noise where all are rounded alike
 _FINE = 1.0 / 16.0  # of a grey level, for what is no whole number
+_CUT_OFF = 2.0  # deviations above 0 from which on hardly any noise is lost where a camera's levels end
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,8 @@ def _line(
     The differences, (any, pixels), are multiples of a step, and vary by so many variances of a frame.
     """
     bins = min(mean.size // _LEAST, _BINS)
-    edges = np.unique(np.quantile(mean, np.linspace(0.0, 1.0, bins + 1))) if bins else np.empty(0)
     level, variance = [], []
-    for low, high in pairwise(edges):
+    for low, high in pairwise(_edges(mean, bins) if bins else ()):
         inside = (mean >= low) & (mean < high)
         if inside.sum() >= 0.5 * _LEAST:  # fewer only where many have one level
             level.append(mean[inside].mean())
@@ -88,6 +88,10 @@ def _line(
     if not level:
         return None
     x, y = np.array(level), np.array(variance)
+    least, whole = 1.0 / 12.0, x > _CUT_OFF * np.sqrt(y)
+    if 1 < np.count_nonzero(whole) < x.size:
+        # What is left of the noise where levels end at 0 is less than there is, and the least there can be.
+        least, x, y = max(least, float(y[~whole].min())), x[whole], y[whole]
     # Relative errors of the bins are alike, so each is weighted by its own variance.
     weight = 1.0 / np.maximum(y, 1.0 / 12.0)
     gain, floor = 0.0, float(np.average(y, weights=weight**2))
@@ -97,4 +101,16 @@ def _line(
             through = float(np.sum(weight**2 * x * y) / np.sum(weight**2 * x * x))
             gain, floor = (float(slope), float(start)) if start >= 0.0 else (through, 0.0)
     # Whole grey levels alone make a variance of 1/12.
-    return FrameNoise(gain, float(np.sqrt(max(floor, 1.0 / 12.0))))
+    return FrameNoise(gain, float(np.sqrt(max(floor, least))))
+
+
+def _edges(mean: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
+    """Return the edges of bins of as many pixels each, divided where the level doubles.
+
+    Otherwise one would hold a dark background and the rim of what is lit, with the noise of the former and
+    the mean level of both.
+    """
+    quantiles = np.quantile(mean, np.linspace(0.0, 1.0, bins + 1))
+    doubled = 2.0 ** np.arange(16)
+    inside = (doubled > quantiles[0]) & (doubled < quantiles[-1])
+    return np.unique(np.concatenate([quantiles, doubled[inside]]))

@@ -33,6 +33,9 @@ _LEAST_MARKERS = 2
 _FRAME_MARKERS = 3
 _MOST_OUTSIDE = 0.1  # part of the dots of a lattice that may lie outside the board: clutter in its order
 _AREA_TOLERANCE = 1.4
+_SIZE_TOLERANCE = 1.2
+"""How many times as wide or as narrow as they are told all dots may be, by the pitch between them."""
+
 _OUTLIER_SIGMAS = 6.0
 _LEAST_OUTLIER_PX = 0.1
 _CENTRE_ROUNDS = 2  # the view is fitted to centres that it corrects: each round leaves a hundredth
@@ -249,6 +252,16 @@ def _kept(
     return np.asarray(faces & sized & placed)
 
 
+def _larger_than_told(board: DotBoard, circles: Circles, place: Ints32, view: View) -> float:
+    """Return how many times as wide as they are told dots are, by the pitch between them."""
+    plane = _plane(board, place)
+    told, seen = (
+        np.prod(semi_axes(matrix)[0], axis=1)
+        for matrix in (ellipse_matrices(view, plane, _diameters(board, place)), circles.matrix)
+    )
+    return float(np.sqrt(np.nanmedian(seen / told)))
+
+
 def find_board(image: NDArray[np.generic], board: DotBoard, *, threads: int = 1) -> BoardPoints:
     """Find a board of dots in an image, whole or in part, flat or about a cylinder.
 
@@ -340,6 +353,14 @@ def _finished(
         if not last:
             more, where = _recover(grey, board, view, place, threads)
             circles, place = circles.joined(more), np.concatenate([place, where])
+    larger = _larger_than_told(board, circles, place, view)
+    if not 1.0 / _SIZE_TOLERANCE < larger < _SIZE_TOLERANCE:
+        told, seen = (k * board.dot_diameter_mm / board.pitch_mm for k in (1.0, larger))
+        return not_found(
+            f"dots are {seen:.2f} of the pitch wide, and by their diameter of {board.dot_diameter_mm:g} mm "
+            f"and the pitch of {board.pitch_mm:g} mm they are {told:.2f}: correct either length",
+            refused,
+        )
     order = np.lexsort((place[:, 0], place[:, 1]))
     circles, place = circles.chosen(order), place[order]
     try:

@@ -81,7 +81,7 @@ class Images(FromCameras):
     views: Text | None = None
     alone: bool = False
     reference: Text | None = None
-    rig: Text = "camera"
+    rig: Text | None = None
     specimen: Text | None = None
     full_scale: Annotated[int | None, Field(ge=1, le=2**31)] = None
     gain: Annotated[float | None, Field(ge=0)] = None

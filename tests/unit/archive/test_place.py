@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import errno
+import resource
 from pathlib import Path
 
 import pytest
 
+from sms_jobs.app.writing import new_file
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.archive.place import probe, require_usable, says_full, says_unusable, unusable
 from sms_jobs.archive.sealing import sealing
-from sms_jobs.errors import ArchiveCorrupt, StorageFull, StorageUnusable
+from sms_jobs.errors import ArchiveCorrupt, InvalidInput, StorageFull, StorageUnusable
 from sms_jobs.records.subject import Subject
 
 OF_THE_PLACE = [errno.EROFS, errno.EIO, errno.ESTALE, errno.EACCES, errno.EPERM, errno.ENOTCONN]
@@ -34,6 +36,23 @@ def test_what_may_be_the_fault_of_one_file_is_not_blamed_on_the_place(error: Exc
 def test_a_full_disk_is_not_unusable() -> None:
     assert says_full(OSError(errno.ENOSPC, "full"))
     assert not says_unusable(OSError(errno.ENOSPC, "full"))
+
+
+def test_a_disk_that_takes_no_file_so_large_says_so(tmp_path: Path) -> None:
+    def grow(path: Path) -> None:
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+        try:
+            path.write_bytes(bytes(2000))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    with (
+        pytest.raises(InvalidInput, match=r"out.csv cannot be written: File too large; write elsewhere"),
+        new_file(tmp_path / "out.csv", force=False) as part,
+    ):
+        grow(part)
+    assert [one.name for one in tmp_path.rglob("*") if one.is_file()] == []
 
 
 @pytest.mark.parametrize("number", OF_THE_PLACE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -115,12 +116,22 @@ def test_a_longer_gauge_is_less_noisy(plate: Any) -> None:
     assert sigma[1] > 1.3 * sigma[2]
 
 
-def test_a_gauge_shorter_than_a_pixel_finds_no_neighbours(plate: Any) -> None:
-    output = plate.run(strain.KIND, plate.subject("S01", VIEW), StrainParameters(gauge_length_mm=0.5))
-    field = output.records["strain"]
-    moved = plate.results["correlate", plate.subject("S01", VIEW)]["displacement"]
-    assert (field.reason[moved.reason == Reason.VALID] == Reason.TOO_FEW_NEIGHBOURS).all()
-    assert output.statistics == {"valid_fraction": 0.0, "valid_fraction_of_image": 0.0}
+def test_a_gauge_of_few_pixels_is_refused_with_the_shortest(plate: Any) -> None:
+    subject = plate.subject("S01", VIEW)
+    said = (
+        r"0.5 mm is (0\.\d+) px in the image of C1P1, .* at least 12 pixels, .* of 4 px, (.*) mm, holds: give"
+    )
+    with pytest.raises(InvalidInput, match=said) as refused:
+        plate.run(strain.KIND, subject, StrainParameters(gauge_length_mm=0.5))
+    found = re.search(said, str(refused.value))
+    assert found is not None
+    in_px, least_mm = map(float, found.groups())
+    assert least_mm == pytest.approx(4.0 * 0.5 / in_px, rel=0.02)
+    # Of the shortest, where pixels lie closer than in the middle of the image has values already.
+    output = plate.run(strain.KIND, subject, StrainParameters(gauge_length_mm=1.05 * least_mm))
+    reason = output.records["strain"].reason
+    assert (reason == Reason.VALID).any()
+    assert (reason == Reason.TOO_FEW_NEIGHBOURS).any()
 
 
 def test_the_axis_is_the_specimens(plate: Any) -> None:

@@ -178,6 +178,25 @@ def test_the_views_differ_by_what_is_stated(views: tuple[Shelf, Shelf]) -> None:
     assert told["overlap_vertices_0_1"] > 1000
 
 
+@pytest.mark.parametrize("scale", [1.0, 1.01])
+def test_a_calibration_of_another_scale_is_told(views: tuple[Shelf, Shelf], scale: float) -> None:
+    left, at_rest = views[0], Subject("right", "S00", VIEW)
+    surface = left.records["reconstruct", at_rest]["surface"]
+    grown = replace(surface, position=scale * surface.position)
+    records = {
+        **left.records,
+        ("reconstruct", at_rest): {**left.records["reconstruct", at_rest], "surface": grown},
+    }
+    subject, said = Subject("left"), []
+    datasets = {
+        need.role: InMemory(need.subject, records[need.source, need.subject])
+        for need in align.KIND.checked_needs(left.campaign, subject, CHOSEN)
+    }
+    inputs = Inputs(subject, align.KIND.context(left.campaign, subject), datasets)
+    list(align.KIND.run(inputs, CHOSEN, lambda fraction, message="": said.append(message)))
+    assert ("times what is stated: lengths there are 1.0100 of those here" in said[-1]) == (scale > 1.0)
+
+
 def test_a_camera_that_sees_nothing_of_the_overlap_does_no_harm(views: tuple[Shelf, Shelf]) -> None:
     # A second camera with its back to the overlap: the same frames, of which no pixel is trusted.
     records = dict(views[0].records)

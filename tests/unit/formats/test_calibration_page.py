@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from sms_jobs.formats.report.calibration import calibration_page
+from sms_jobs.kinds.calibration.session_adjustment import known_as
 from sms_jobs.metrology.calibration.estimates import Estimated
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.calibration import CalibrationQuality, CalibrationUncertainty, Estimate
+from sms_jobs.records.times import UNTIMED
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
 
 CALIBRATION, _ = top_hat_bending("page", "small")
@@ -52,6 +54,12 @@ def written(quality: CalibrationQuality) -> str:
     covariance[PER_SENSOR - 1, PER_SENSOR - 1] = 0.0
     uncertainty = CalibrationUncertainty(SENSORS, SENSOR_PARAMETERS, covariance)
     return calibration_page("hall-3-june", CALIBRATION.rig, CALIBRATION, uncertainty, quality, 480)
+
+
+def test_a_time_that_nobody_knows_is_not_shown(rng: np.random.Generator) -> None:
+    timed, untimed = CALIBRATION, replace(CALIBRATION, valid_from=UNTIMED)
+    assert "valid from a time that is not known" in written(quality(rng, started_from=known_as(untimed)))
+    assert known_as(timed) in written(quality(rng, started_from=known_as(timed)))
 
 
 def test_the_page_says_what_a_metrologist_asks(rng: np.random.Generator) -> None:

@@ -30,6 +30,28 @@ def test_a_displacement_at_nodes_comes_in_mm(tmp_path: Path, suffix: str, rng: n
         read_point_field(file, "T", 1.0)
 
 
+@pytest.mark.parametrize(
+    ("names", "whole"),
+    [
+        (("displacement X [mm]", "displacement Y [mm]", "displacement Z [mm]"), "displacement [mm]"),
+        (("U_x", "U_y", "U_z"), "U"),
+        (("X", "Y", "Z"), "vector"),
+    ],
+)
+def test_three_numbers_a_node_are_a_displacement(
+    tmp_path: Path, rng: np.random.Generator, names: tuple[str, ...], whole: str
+) -> None:
+    """As our own exports have it, and those of others."""
+    points, moved = rng.normal(size=(2, 3, 3))
+    given = dict(zip(names, moved.T, strict=True)) | {"strain xx [1]": np.zeros(3), "Xtra": np.zeros(3)}
+    meshio.Mesh(points, [("triangle", [[0, 1, 2]])], point_data=given).write(tmp_path / "panel.vtu")
+    for name in (None, whole):
+        np.testing.assert_array_equal(read_point_field(tmp_path / "panel.vtu", name, 1.0).values, moved)
+    meshio.Mesh(points, [("triangle", [[0, 1, 2]])]).write(tmp_path / "bare.vtu")
+    with pytest.raises(NotFound, match="no field with three components at its nodes, neither a vector nor"):
+        read_point_field(tmp_path / "bare.vtu", None, 1.0)
+
+
 def test_of_several_vectors_the_displacement_is_asked_for(tmp_path: Path, rng: np.random.Generator) -> None:
     points, moved = rng.normal(size=(2, 3, 3))
     fields = {"Normals": np.tile([0.0, 0.0, 1.0], (3, 1)), "U": moved}

@@ -109,6 +109,29 @@ def test_images_of_one_content_are_remarked_on(home: Path, tmp_path: Path, level
     assert "s1.png and s3.png have the same content" in said
 
 
+def test_images_of_a_state_that_is_there_already_are_remarked_on(
+    home: Path, tmp_path: Path, levels: np.ndarray
+) -> None:
+    save(tmp_path / "test", levels, "s{}.png")
+    assert not [said for said in images(tmp_path / "test", home)["remarks"] if "same" in said]
+    assert not [said for said in images(tmp_path / "test", home)["remarks"] if "same" in said]
+    save(tmp_path / "later", levels[2:3], "s{}.png", first=7)
+    given = ("--pattern", "s{state}.png", "--add-states")
+    (said,) = (one for one in images(tmp_path / "later", home, *given)["remarks"] if "same" in one)
+    assert "s7.png and s2.png of coupon/2/C1, imported before, have the same content" in said
+
+
+def test_a_campaign_keeps_its_reference_and_its_rig(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
+    save(tmp_path / "test", levels, "s{}.png")
+    images(tmp_path / "test", home, "--rig", "bench")
+    with pytest.raises(InvalidInput, match="has the reference 0, which stays"):
+        images(tmp_path / "test", home, "--reference", "2")
+    with pytest.raises(InvalidInput, match="is measured by rig bench, which stays"):
+        images(tmp_path / "test", home, "--rig", "desk")
+    again = images(tmp_path / "test", home, "--reference", "0")
+    assert {o for _, _, o in outcomes(again)} == {"already there"}
+
+
 def test_images_of_two_depths_have_each_their_full_scale_and_noise(
     home: Path, tmp_path: Path, levels: np.ndarray
 ) -> None:
@@ -124,6 +147,24 @@ def test_images_of_two_depths_have_each_their_full_scale_and_noise(
     assert [one.full_scale for one in found] == [255, 255, 4095, 4095]
     np.testing.assert_allclose([one.gain for one in found], [0.0255, 0.0255, 0.4095, 0.4095])
     np.testing.assert_allclose([one.read_noise for one in found], [0.504, 0.504, 1.12, 1.12], rtol=1e-2)
+
+
+def test_a_full_scale_that_unused_bits_leave_open_is_asked_for(
+    home: Path, tmp_path: Path, levels: np.ndarray
+) -> None:
+    """Ten bits that are padded to twelve look like fourteen at the upper end of sixteen, hardly lit."""
+    padded = 4.0 * np.maximum(levels, 65.0)  # up to 1020, or a multiple of that
+    save(tmp_path / "low", 3.0 * padded, "s{}.png", dtype=np.uint16)
+    with pytest.raises(InvalidInput, match=r"lowest 2 bits .* can be 4092 or 65532.*give `full_scale`"):
+        images(tmp_path / "low", home, "--dry-run")
+    given = images(tmp_path / "low", home, "--dry-run", "--full-scale", "4092")
+    assert not [said for said in given["remarks"] if "full scale" in said]
+    save(tmp_path / "high", 8.0 * padded, "s{}.png", dtype=np.uint16)
+    assert "full scale 65504" in str(images(tmp_path / "high", home, "--dry-run")["remarks"])
+    saturated = 4.0 * padded
+    saturated[0, :2] = 16380.0
+    save(tmp_path / "last", saturated, "s{}.png", dtype=np.uint16)
+    assert "full scale 16380" in str(images(tmp_path / "last", home, "--dry-run")["remarks"])
 
 
 def test_a_raw_file_that_was_described_otherwise_is_another_image(home: Path, tmp_path: Path) -> None:

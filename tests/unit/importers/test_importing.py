@@ -92,6 +92,24 @@ def test_frames_arrive_as_they_are_and_once(run: Import, tmp_path: Path) -> None
     assert outcomes(again) == [("S00", "already there"), ("S01", "already there")]
 
 
+def test_frames_of_another_state_are_remarked_on(run: Import, tmp_path: Path) -> None:
+    folder = tmp_path / "scans"
+    for label in ("S00", "S01"):
+        save(folder / label, fringes(seed=int(label[1:]), noise=1.0))
+    assert not [said for said in run(*frames(folder))["remarks"] if "same" in said]
+    # A frame of a state that is there already, and one of the same folder.
+    save(folder / "S02", fringes(seed=2, noise=1.0))
+    save(folder / "S03", fringes(seed=3, noise=1.0))
+    (folder / "S02" / "frame_03.png").write_bytes((folder / "S00" / "frame_03.png").read_bytes())
+    (folder / "S03" / "frame_01.png").write_bytes((folder / "S02" / "frame_01.png").read_bytes())
+    given = ("--add-states", "--only", "S0[23]/*")
+    (said,) = (one for one in run(*frames(folder, *given))["remarks"] if "same" in one)
+    assert "S02/frame_01.png and S03/frame_01.png have the same content" in said
+    assert "of 1 other group" in said
+    with pytest.raises(InvalidInput, match="is measured by rig desk, which stays"):
+        run(*frames(folder, "--rig", "bench"))
+
+
 def test_a_bad_tuple_is_left_out_as_a_whole_and_the_others_come_in(run: Import, tmp_path: Path) -> None:
     folder = tmp_path / "scans"
     for label in ("S00", "S01", "S02"):

@@ -74,10 +74,13 @@ def test_an_expression_reads_itself_back(text: str) -> None:
         ("every 2.5s", "every 2.5 s"),
         ("every 48h", "every 2 d"),
         ("every 12d", "every 12 d"),
+        ("every 1234567s", "every 1234567 s"),
+        ("every 1.333333m", "every 80 s"),
+        ("every 1.3333335d", "every 115200.014 s"),
         ("cron 0 2 * * *", "cron 0 2 * * *"),
     ],
 )
-def test_an_interval_is_shown_with_its_unit_and_not_rounded(text: str, shown: str) -> None:
+def test_an_interval_is_shown_with_its_unit(text: str, shown: str) -> None:
     assert parse_expression(text, "UTC").in_words == shown
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -25,7 +26,7 @@ from sms_jobs.archive import Archive, Checker, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.cli.app import app
-from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound
+from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound, StorageFull
 from sms_jobs.formats import research_crate as crate
 from sms_jobs.formats.research_crate import CrateFile
 from sms_jobs.jobs.archiving.registration import register_calibration
@@ -216,6 +217,24 @@ def test_an_interrupted_export_goes_on_and_comes_to_the_same(
     whole = tmp_path / "whole"
     exported(full, whole, options)
     assert contents(folder) == contents(whole)
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.EFBIG, "takes no file as large as .*; export to another disk"),
+        (errno.ENOSPC, "is full; free some"),
+    ],
+)
+def test_a_disk_that_cannot_hold_a_file_is_named(
+    number: int, said: str, full: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def copy_out(*given: object, **options: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Archive, "copy_out", copy_out)
+    with pytest.raises(StorageFull, match=said):
+        exported(full, tmp_path / "stick", PackOptions("plate"))
 
 
 def contents(folder: Path) -> dict[str, str]:

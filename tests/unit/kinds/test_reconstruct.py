@@ -21,7 +21,7 @@ from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.scene import CameraResponse, Simulation
-from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.sensors import Calibration, Sensor
 from sms_jobs.records.subject import Subject
 from sms_jobs.testing.in_memory import InMemory, run_kind, unheard
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -204,6 +204,19 @@ def test_a_wrong_calibration_opens_the_ray_gap(plain: Tuple) -> None:
     assert (cloud.reason[lit] & Reason.LARGE_RAY_GAP != 0).mean() > 0.99
     # They are lit, and lost all the same.
     assert output.statistics["valid_fraction"] < 0.01
+
+
+@pytest.mark.parametrize(("shift_px", "told"), [(0.0, False), (0.25, True)])
+def test_rays_of_most_points_that_miss_each_other_are_told(plain: Tuple, shift_px: float, told: bool) -> None:
+    def moved(sensor: Sensor) -> Sensor:
+        lens = sensor.intrinsics
+        return replace(sensor, intrinsics=replace(lens, cy=lens.cy + shift_px * (sensor.name == "P1")))
+
+    rig = replace(plain.calibration.rig, sensors=tuple(map(moved, plain.calibration.rig.sensors)))
+    said: list[str] = []
+    other = replace(plain, calibration=replace(plain.calibration, rig=rig))
+    other.reconstruct(progress=lambda fraction, message="": said.append(message))
+    assert ("of the rays miss each other: a sensor has moved" in said[-1]) == told
 
 
 @pytest.mark.parametrize(("sigma_px", "kept"), [(0.0, 0.0), (2.0, 0.8)])

@@ -89,6 +89,17 @@ def test_the_board_of_a_session_can_be_looked_for(draughtsman: Any) -> None:
     np.testing.assert_array_equal(found.point[origin], 0.0)
 
 
+@pytest.mark.parametrize("told", [{"pitch_mm": 12.5}, {"pitch_mm": 8.0}, {"dot_diameter_mm": 4.0}])
+def test_dots_of_another_width_by_their_pitch_are_refused(draughtsman: Any, told: dict[str, float]) -> None:
+    view = draughtsman.view_of(320, 320, (40.0, 30.0), 2.8, turn=0.7, tilt=(0.4, -0.3))
+    image = draughtsman.draw(view, draughtsman.dots(RINGS))
+    found = find_board(image, replace(RINGS, **told))
+    assert len(found.place) == 0
+    assert "dots are 0.50 of the pitch wide, and by their diameter of" in found.reason
+    # What is as wide as printing makes it is taken.
+    assert find_board(image, replace(RINGS, pitch_mm=10.8)).reason == ""
+
+
 @pytest.mark.parametrize("middle", [(30.0, 30.0), (55.0, 40.0), (40.0, 45.0)])
 def test_a_part_of_a_board_is_enough(draughtsman: Any, middle: tuple[float, float]) -> None:
     view = draughtsman.view_of(240, 280, middle, 3.6, turn=0.2, tilt=(0.2, 0.3))

@@ -33,6 +33,8 @@ from sms_jobs.metrology.deformation.strain.gauge_bias import (
 from sms_jobs.metrology.deformation.strain.strain_errors import SharedErrors
 from sms_jobs.metrology.deformation.strain.tangent_frame import tangent_frame
 
+LEAST_PIXELS = 12
+"""With fewer in its disc no pixel has a strain."""
 _DISC_CELLS = 8  # cells to a gauge radius, to the nearest whole side: 110 to 350 in a disc
 _BLOCK = 4  # px: squares of this side, or of a cell, look among the same cells
 
@@ -218,7 +220,7 @@ def surface_strain(
     gauge_length: float,
     x_axis: tuple[float, float, float] = (1.0, 0.0, 0.0),
     green_lagrange: bool = True,
-    minimum_pixels: int = 12,
+    minimum_pixels: int = LEAST_PIXELS,
     fold_angle_rad: float = np.pi,
     threads: int = 1,
 ) -> SurfaceStrain:
