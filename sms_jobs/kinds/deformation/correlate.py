@@ -300,7 +300,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=27,
+    version=28,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

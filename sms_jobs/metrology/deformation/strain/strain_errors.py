@@ -286,7 +286,7 @@ def _side_of_squares(length_px: float, shape: tuple[int, ...]) -> int:
 def _far_from_edges(known: Mask, radius: int) -> Mask:
     """Return which known pixels are so far from edges that these change no noise, or all if none is.
 
-    At an edge matches by subsets of a radius in px state more noise (`border_factors`), and what that does to
+    At an edge matches by subsets of a radius in px state other noise (`beside_borders`), and what that does to
     strain is told apart (`noise_at_edges`).
     """
     gaps = wide_gaps(known.astype(np.int32), max(radius, 1))
