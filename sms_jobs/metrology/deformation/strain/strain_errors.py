@@ -286,8 +286,8 @@ def _side_of_squares(length_px: float, shape: tuple[int, ...]) -> int:
 def _far_from_edges(known: Mask, radius: int) -> Mask:
     """Return which known pixels are so far from edges that these change no noise, or all if none is.
 
-    At an edge matches by subsets of a radius in px state other noise (`beside_borders`), and what that does to
-    strain is told apart (`noise_at_edges`).
+    At an edge matches by subsets of a radius in px state other noise (`beside_borders`), and what that does
+    to strain is told apart (`noise_at_edges`).
     """
     gaps = wide_gaps(known.astype(np.int32), max(radius, 1))
     inner = known & narrowed(~gaps, 2 * round(_RIM * radius) + 1, border_ends=True)
