@@ -65,8 +65,10 @@ def bias_by_scatter(aside: Floats, reach: float, terms: int) -> Floats:
     are those of `beside_borders`.
     """
     beside = _beside_a_border(reach, terms, RADIUS // 2)
-    ratio = np.interp(aside, beside.aside[::-1], beside.bias[::-1])
-    return np.where(aside < _ABOUT, 0.0, ratio)
+    one_sided = aside >= _ABOUT
+    ratio = np.zeros(aside.shape)
+    ratio[one_sided] = np.interp(aside[one_sided], beside.aside[::-1], beside.bias[::-1])
+    return ratio
 
 
 def by_borders(labels: Labels, radius: int, told: Callable[[int], tuple[Floats, ...]]) -> tuple[Floats, ...]:

@@ -18,7 +18,7 @@ from sms_jobs.metrology.deformation.fields.blending import blend_rows
 from sms_jobs.metrology.deformation.fields.border_noise import beside_borders, bias_by_scatter
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
-from sms_jobs.metrology.deformation.matching.window_maps import means_of
+from sms_jobs.metrology.deformation.matching.window_maps import means
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.metrology.images.masks import beside_another_label, box_of
 
@@ -229,28 +229,31 @@ def blend_matches(
     in_row_blocks(work, rows, threads)
     blend = _BLEND[numbers][0], 6 if numbers == WARP else 3
     factors, by_noise = beside_borders(labels, subset_radius, *blend)
-    own = factor * factors * variance
-    beyond = _beyond_noise(scatter, by_noise * variance, _CHANCE * factor * variance, aside, subset_radius)
-    return Blended(value, own, images_part * own, bias_by_scatter(aside, *blend) * beyond)
+    ratio = bias_by_scatter(aside, *blend)
+    beside = ratio > 0.0
+    bias = np.zeros((2, rows, columns))
+    for found, square, own in zip(bias, scatter, variance, strict=True):
+        own, most = own[beside], _CHANCE * factor * own[beside]
+        beyond = _beyond_noise(square[beside], by_noise[beside] * own, most, aside, beside, subset_radius)
+        found[beside] = ratio[beside] * beyond
+    variance *= factor * factors
+    return Blended(value, variance, images_part * variance, bias)
 
 
 def _beyond_noise(
-    scatter: Floats, by_noise: Floats, most_by_noise: Floats, aside: Floats, radius: int
+    square: Floats, by_noise: Floats, most: Floats, aside: Floats, beside: Mask, radius: int
 ) -> Floats:
-    """Return by how much, squared, matches differ about pixels (2, rows, columns) beyond what noise does.
+    """Return of what matches differ by, squared, at pixels (n,) `beside` borders what noise does not make.
 
-    Noise scatters, so that is a mean along the border, of which no pixel has more than what noise might make
-    at most, and as much of it as chance does not make; what is more is told by the pixel itself.
+    Noise makes so much in the mean, and at most, and scatters: what is more is a mean over squares along the
+    border, as much of it as chance does not make and of no pixel more than the most; beyond that a pixel
+    tells it by itself.
     """
-    known, one_sided = np.isfinite(aside), aside**2
-    weight = means_of(one_sided, known, _ALONG * radius)
-    found = []
-    for square, noise, most in zip(scatter, by_noise, most_by_noise, strict=True):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            beyond = np.minimum(square - (1.0 + _OF_MEANS) * noise, most)
-            usual = means_of(one_sided * beyond, known, _ALONG * radius) / weight
-        found.append(np.fmax(np.fmax(usual, square - most), 0.0))
-    return np.stack(found)
+    weight, weighted = np.zeros(beside.shape), np.zeros(beside.shape)
+    weight[beside] = aside[beside] ** 2
+    weighted[beside] = weight[beside] * np.minimum(square - (1.0 + _OF_MEANS) * by_noise, most)
+    usual, total = (means(one, _ALONG * radius)[beside] for one in (weighted, weight))
+    return np.maximum(np.maximum(usual / total, square - most), 0.0)
 
 
 def displacement_field(
