@@ -157,7 +157,7 @@ def _basis(x: Floats, y: Floats, terms: int) -> Floats:
 def seen_beside_a_border(
     terms: int, reach: float, rim: int, radius: int = RADIUS, margin: int = 0
 ) -> Iterator[SeenBeside]:
-    """Yield what blended matches at `depths` make of noise.
+    """Yield what blended matches at `depths` make of noise, and of a bend.
 
     `terms` are the numbers that subsets tell of either component: 3 of first order, 6 of second. Of subsets
     of a radius up to `RADIUS` about every pixel, also `rim` px beyond where they are cut, and weights of

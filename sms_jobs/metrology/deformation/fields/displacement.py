@@ -28,7 +28,7 @@ OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 _ALONG = 8
 """Radii of a subset about a pixel, over whose squares what matches differ by beyond noise is averaged."""
 _OF_MEANS = 0.9
-"""By how much of itself that scatters: of some eight independent places, two numbers each with a slope."""
+"""Three times by how much of itself such a mean scatters by noise: eight places or so, three numbers each."""
 _CHANCE = 5.0
 """By trial at borders: the most that noise makes matches scatter, in variances of blends far from borders."""
 _BLEND = {6: (1.633, 1.39), WARP: (1.48, 0.81)}
