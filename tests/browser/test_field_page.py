@@ -230,10 +230,10 @@ def test_two_results_stand_side_by_side_with_their_difference(page: Browser, ser
     page.wait_for("document.querySelector('#differs td')")
     page.wait_for("document.querySelector('#difference .readout')?.textContent.length > 9")
     page.point(*place_of(page, 60, 70))
-    readout(page, 60, 70)
-    page.wait_for("document.querySelector('#difference .readout').textContent.includes('at x 60, y 70 px')")
-    maps = "['m0', 'm1', 'difference']"
-    read = page.run(f"{maps}.map((i) => document.querySelector(`#${{i}} .readout`).textContent)")
+    maps = "['m0', 'm1', 'difference'].map((i) => document.querySelector(`#${i} .readout`).textContent)"
+    # Each asks for its own positions first.
+    page.wait_for(f"{maps}.every((words) => words.includes('at x 60, y 70 px'))")
+    read = page.run(maps)
     values = [float(re.match(r"displacement X: (\S+) ± ", words)[1]) for words in read]  # type: ignore[index]
     assert values[2] == pytest.approx(values[0] - values[1], abs=0.002)
     assert abs(values[2]) > 0.05
