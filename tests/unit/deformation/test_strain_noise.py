@@ -9,6 +9,8 @@ import pytest
 from scipy import signal
 
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.deformation.fields.border_noise import beside_borders
+from sms_jobs.metrology.deformation.fields.displacement import blending_reach
 from sms_jobs.metrology.deformation.fields.noise_correlation import blended_weights
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.strain.gauges import GaugePlace, read_gauge
@@ -84,6 +86,26 @@ def test_noise_is_stated_where_it_is(rng: np.random.Generator) -> None:
         score = (found.strain**2 / (found.sigma**2 - found.bias**2))[:, *INNER]
         squares.append([third.mean() for third in np.array_split(score, 3, axis=2)])
     np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), 1.0, atol=0.15)
+
+
+def test_noise_of_a_narrow_plate_is_that_of_its_middle() -> None:
+    """Of five radii, where most matches see an edge, by which their median noise would be 10 % smaller."""
+    subsets = Subsets(10, 1)
+    plate = np.zeros((SIZE, SIZE), np.int32)
+    plate[10:100, 30:80] = 1
+    stated = blended_weights(subsets)[1]
+    beside = beside_borders(plate, subsets.radius, blending_reach(1, 6), 3)[0]
+    covariance = np.full((6, SIZE, SIZE), np.nan)
+    covariance[:, plate > 0] = 0.0
+    covariance[[0, 3]] += stated * beside
+    told = shared_errors(
+        covariance,
+        np.zeros_like(covariance),
+        averaging_radius_px=0.0,
+        subset_radius_px=subsets.radius,
+        disc_radius_px=15.0,
+    ).match[0, plate > 0]
+    np.testing.assert_allclose(told / seen_of_match(subsets, 15.0), stated, rtol=0.02)
 
 
 @pytest.mark.parametrize("subsets", [Subsets(10, 1), Subsets(12, 2)])
