@@ -208,7 +208,7 @@ def compare(services: Services, before: int, after: int, tolerance_mm: float | N
     NotFound
         There is no such calibration.
     InvalidInput
-        They are of two rigs.
+        They are not of the same sensors.
     """
     from sms_jobs.jobs.archiving import calibrations
 

@@ -230,6 +230,7 @@ def compared(
     from sms_jobs.kinds.calibration.session_adjustment import known_as
     from sms_jobs.metrology.calibration.checking.comparison import compare_calibrations
 
+    _refuse_other_sizes(old.calibration.rig, new.calibration.rig)
     if tolerance_mm is None:
         tolerance_mm = old.calibration.volume.diagonal_mm / 50_000.0
         if old.quality is not None and np.isfinite(old.quality.expected_sigma).any():
@@ -252,6 +253,18 @@ def compared(
         tolerance_mm=tolerance_mm,
     )
     return comparison, tolerance_mm
+
+
+def _refuse_other_sizes(old: Rig, new: Rig) -> None:
+    """Raise `InvalidInput` where a sensor has another number of pixels: it is another sensor."""
+    later = {s.name: (s.columns, s.rows) for s in new.sensors}
+    for sensor in old.sensors:
+        size = later.get(sensor.name)
+        if size is not None and size != (sensor.columns, sensor.rows):
+            raise InvalidInput(
+                f"{sensor.name} has {sensor.columns} x {sensor.rows} px in the earlier calibration and "
+                f"{size[0]} x {size[1]} px in the later one: compare those of the same sensors"
+            )
 
 
 @dataclass(frozen=True)
