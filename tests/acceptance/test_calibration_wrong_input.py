@@ -46,6 +46,11 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (NOT_FOUND, ["calibration", "certify", "nobody"], ["nobody"]),
         (
             USAGE,
+            ["calibration", "certify", "plate"],
+            ["plate is no calibration session", "sms import boards"],
+        ),
+        (
+            USAGE,
             ["calibration", "certify", "bars", "--valid-from", "today"],
             ["a time with its zone", "not 'today'"],
         ),

@@ -162,6 +162,8 @@ def certify(
     ------
     NotFound
         There is no such session, or it has given no calibration.
+    InvalidInput
+        The campaign is no session.
     Conflict
         It has warnings, or contradicts what is in use.
     """
