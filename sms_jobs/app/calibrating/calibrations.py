@@ -162,6 +162,8 @@ def certify(
     ------
     NotFound
         There is no such session, or it has given no calibration.
+    InvalidInput
+        The campaign is no session.
     Conflict
         It has warnings, or contradicts what is in use.
     """
@@ -208,7 +210,7 @@ def compare(services: Services, before: int, after: int, tolerance_mm: float | N
     NotFound
         There is no such calibration.
     InvalidInput
-        They are of two rigs.
+        They are not of the same sensors.
     """
     from sms_jobs.jobs.archiving import calibrations
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
 from typing import Any
 
 from sms_jobs.app.importing.copies import remarks_on_copies
-from sms_jobs.app.importing.image_entry import Counted
+from sms_jobs.app.importing.image_entry import Counted, remarks_on_textures
 from sms_jobs.app.importing.outcomes import Outcome, TupleOutcome, existing_campaign, outcome_of
 from sms_jobs.app.progress import Tell, nobody
 from sms_jobs.app.rules import use_case
@@ -261,7 +261,7 @@ class _Import:
         remarks = list(dict.fromkeys(r for one in good for r in one.remarks))
         models, found = camera_models(good, self.layout) if good else ((), ())
         cameras = {one.found: camera for one, camera in zip(good, models, strict=True)}
-        remarks += found
+        remarks += [*found, *_on_white(good, models)]
         remarks += self._calibrated_otherwise(definition.rig, good)
         known = imported_files(self.services.catalogue, self.services.archive, definition.name)
         remarks += remarks_on_copies(good, known)
@@ -334,6 +334,16 @@ class _Import:
         except (Conflict, InvalidInput) as error:
             return outcome_of(one, "refused", str(error))
         return outcome_of(one, "imported", done.path)
+
+
+def _on_white(good: Sequence[Inspected], models: Sequence[CameraModel]) -> list[str]:
+    """Return remarks on the white frames, which are the texture."""
+    white = [
+        (replace(one, facts={one.found.white: one.facts[one.found.white]}), model.full_scale)
+        for one, model in zip(good, models, strict=True)
+        if one.found.white is not None
+    ]
+    return remarks_on_textures([one for one, _ in white], [scale for _, scale in white])
 
 
 def _inspect_all(

@@ -112,7 +112,12 @@ def make_campaign(services: Services, existing: Campaign | None, definition: Cam
         amend_campaign(services.catalogue, services.archive, existing, definition, now)
 
 
-def _blank(good: list[Inspected]) -> list[str]:
+def remarks_on_textures(good: Sequence[Inspected], scales: Sequence[int]) -> list[str]:
+    """Return remarks on images in which there is nothing to match, each with its full scale."""
+    return _blank(good) + _saturated(good, scales)
+
+
+def _blank(good: Sequence[Inspected]) -> list[str]:
     """Return a remark on images that show nothing; none where there is no such image."""
     every = {name: about for one in good for name, about in one.facts.items()}
     blank = {name: about.highest for name, about in every.items() if about.at_highest == 1.0}
@@ -127,7 +132,7 @@ def _blank(good: list[Inspected]) -> list[str]:
     return [remark]
 
 
-def _saturated(good: list[Inspected], scales: Sequence[int]) -> list[str]:
+def _saturated(good: Sequence[Inspected], scales: Sequence[int]) -> list[str]:
     """Return a remark on images of which more saturates than glints do; none where there is no such image."""
     every = {
         n: (about, level) for one, level in zip(good, scales, strict=True) for n, about in one.facts.items()
@@ -201,7 +206,7 @@ class EnteredImages:
         """Return of each image what its camera is, which files of one depth have in common."""
         given = self.settings
         scales = full_scales_of(good, given.full_scale, given.raw, remarks)
-        remarks += _blank(good) + _saturated(good, scales) if self.noise_counts else []
+        remarks += remarks_on_textures(good, scales) if self.noise_counts else []
         cameras = {}
         for full_scale in dict.fromkeys(scales):
             gain, read_noise = given.gain, given.read_noise

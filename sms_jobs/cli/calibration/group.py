@@ -112,6 +112,8 @@ def show(number: int, home: Home = None, as_json: Json = False) -> None:
         ],
         empty="",
     )
+    for one in known.quality.warnings if known.quality else ():
+        output.say(f"warning: {one}")
 
 
 def _worth(volume: Box, worth: QualitySummary) -> dict[str, str | float | int]:

@@ -33,6 +33,10 @@ _DIALECTS: dict[Style, Dialect] = {"opencv-yaml": "yml", "opencv-xml": "xml", "o
 _MOST_BLIND = 0.5
 """The part of an image that may have no ray before the coefficients are taken for those of another model."""
 _GRID = 33
+_MOST_ASIDE = 0.1
+"""Of a side of a camera's image, from its middle to the principal point: beyond it the size is doubted."""
+_MOST_ASPECT = 1.2
+"""Between the focal lengths of a camera: its pixels are squares as a rule."""
 _LEAST_APART_MM = 1e-3
 """Between the pin-holes of two sensors; those that are nearer are taken for one."""
 
@@ -130,7 +134,7 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
         _check_volume(volume)
     sensors = _sensors(found, given, sources)
     _refuse_one_place(sensors, sources)
-    remarks = [*found.remarks, *_folds(sensors, sources)]
+    remarks = [*found.remarks, *_folds(sensors, sources), *_of_other_images(sensors)]
     if not found.in_millimetres and given.millimetres_per_unit == 1.0:
         remarks += _assumed_unit(sensors, sources)
     if volume is None:
@@ -163,6 +167,27 @@ def _folds(sensors: tuple[Sensor, ...], sources: str) -> list[str]:
         elif blind > 0.0:
             remarks.append(
                 f"{sensor.name}: {blind:.0%} of the image has no ray; its distortion folds over there{where}"
+            )
+    return remarks
+
+
+def _of_other_images(sensors: tuple[Sensor, ...]) -> list[str]:
+    """Say which cameras seem to have been calibrated with images of another size; projectors shift theirs."""
+    remarks = []
+    for sensor in (s for s in sensors if s.role is Role.CAMERA):
+        lens, columns, rows = sensor.intrinsics, sensor.columns, sensor.rows
+        aside = max(abs((lens.cx + 0.5) / columns - 0.5), abs((lens.cy + 0.5) / rows - 0.5))
+        if aside > _MOST_ASIDE:
+            at = f"{lens.cx:.5g}, {lens.cy:.5g} px"
+            remarks.append(
+                f"{sensor.name}: the principal point {at} lies {aside:.0%} of a side from the middle of an "
+                f"image of {columns} x {rows} px (doubted beyond {_MOST_ASIDE:.0%}): was it calibrated with "
+                "images of another size, or are its numbers not in pixels?"
+            )
+        if max(lens.fx / lens.fy, lens.fy / lens.fx) > _MOST_ASPECT:
+            remarks.append(
+                f"{sensor.name}: the focal lengths {lens.fx:.5g} and {lens.fy:.5g} px are those of pixels "
+                "that are no squares: was an image binned along one side, or a number mistyped?"
             )
     return remarks
 

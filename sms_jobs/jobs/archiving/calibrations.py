@@ -11,7 +11,6 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, InputReference
 from sms_jobs.archive.dataset import ArchivedDataset
@@ -83,13 +82,18 @@ def session_result(
 ) -> tuple[FileView, KnownCalibration]:
     """Read the newest calibration that a session gave: with its ball bar, or from boards where it has none.
 
-    Raises `NotFound` where the session has given none.
+    Raises `NotFound` where the session has given none, `InvalidInput` for a campaign that is no session.
     """
     with catalogue.reading() as session:
-        campaigns.campaign_id(session, campaign)
+        definition = campaigns.definition(campaigns.campaign_row(session, campaign))
+        if definition.session is None:
+            raise InvalidInput(
+                f"campaign {campaign} is no calibration session; 'sms campaign create --example-session' and "
+                "'sms import boards' make sessions"
+            )
         subject = Subject(campaign)
         # A session with a ball bar is not done before the bar has taken part.
-        kind = CALIBRATE if _has_bar(session, campaign) else CALIBRATE_BOARDS
+        kind = CALIBRATE if bar_states(definition) else CALIBRATE_BOARDS
         files = search.find_files(session, source=kind, campaign=campaign, limit=20)
         datasets = [f for f in files if f.subject == str(subject) and f.media_type == DATASET_MEDIA_TYPE]
     if not datasets:
@@ -99,10 +103,6 @@ def session_result(
         )
     with archive.open(datasets[0]) as dataset:
         return datasets[0], _known(None, datasets[0].path, dataset)
-
-
-def _has_bar(session: Session, campaign: str) -> bool:
-    return bool(bar_states(campaigns.definition(campaigns.campaign_row(session, campaign))))
 
 
 def certify(
@@ -136,6 +136,8 @@ def certify(
     ------
     NotFound
         The session has given none.
+    InvalidInput
+        The campaign is no session.
     Conflict
         It has warnings, and nobody has said that it is to be used all the same.
     """
@@ -230,6 +232,7 @@ def compared(
     from sms_jobs.kinds.calibration.session_adjustment import known_as
     from sms_jobs.metrology.calibration.checking.comparison import compare_calibrations
 
+    _refuse_other_sizes(old.calibration.rig, new.calibration.rig)
     if tolerance_mm is None:
         tolerance_mm = old.calibration.volume.diagonal_mm / 50_000.0
         if old.quality is not None and np.isfinite(old.quality.expected_sigma).any():
@@ -252,6 +255,18 @@ def compared(
         tolerance_mm=tolerance_mm,
     )
     return comparison, tolerance_mm
+
+
+def _refuse_other_sizes(old: Rig, new: Rig) -> None:
+    """Raise `InvalidInput` where a sensor has another number of pixels: it is another sensor."""
+    later = {s.name: (s.columns, s.rows) for s in new.sensors}
+    for sensor in old.sensors:
+        size = later.get(sensor.name)
+        if size is not None and size != (sensor.columns, sensor.rows):
+            raise InvalidInput(
+                f"{sensor.name} has {sensor.columns} x {sensor.rows} px in the earlier calibration and "
+                f"{size[0]} x {size[1]} px in the later one: compare those of the same sensors"
+            )
 
 
 @dataclass(frozen=True)

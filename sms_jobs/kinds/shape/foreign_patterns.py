@@ -34,6 +34,7 @@ _LIT = 5.0  # standard deviations of the noise
 _LEAST_LIT = 200  # pixels
 _UNEVEN = 0.1  # of the modulation: what light from elsewhere may add to one pattern
 _UNLIKE = 0.25  # of the lit pixels: an exchanged pattern is wrong in half of them
+_APART = 1.4  # times or parts of what patterns differ by: white and black were exposed otherwise
 _ROWS, _COLUMNS = 24, 200  # of the pixels that tell what blur leaves
 
 
@@ -241,6 +242,7 @@ def levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[An
     sequence = measurement.sequence
     assert sequence.gray is not None
     above, threshold, noise = pattern_contrast(measurement, orientation, frames[:, None, :])
+    otherwise = None
     if sequence.gray.threshold == "inverse":
         # Every pattern and its inverse are as bright together as all others are.
         off, within = np.abs(threshold - np.median(threshold, axis=0)), 1.0
@@ -256,10 +258,26 @@ def levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[An
         off, within = np.abs(above) - half, 2.0
         lit = half[None] > _LIT * noise
         what = "bit {} is brighter than white or darker than black"
+        otherwise = _exposed_otherwise(above, white - black, noise)
     limit = within * _SURE * noise + _UNEVEN * np.median(np.abs(above), axis=0)
     if np.count_nonzero(lit) < _LEAST_LIT:
-        return None
+        return otherwise
     wrong = [b for b, one in enumerate(off > limit) if one[lit].mean() > _UNLIKE]
     if len(wrong) > 2 and sequence.gray.threshold == "inverse":
         return "patterns and inverses do not go together: see if frames are gray+inverse or gray inverse"
-    return what.format(", ".join(map(str, wrong))) if wrong else None
+    return what.format(", ".join(map(str, wrong))) if wrong else otherwise
+
+
+def _exposed_otherwise(above: Singles, apart: Singles, noise: Singles) -> str | None:
+    """Say so where white and black are farther apart, or nearer, than the patterns between them."""
+    contrast = np.ptp(above, axis=0)
+    seen = contrast > 2.0 * _LIT * noise[0]
+    if np.count_nonzero(seen) < _LEAST_LIT:
+        return None
+    times, least = float(np.median(apart.reshape(contrast.shape)[seen] / contrast[seen])), 1.0 / _APART
+    if least <= times <= _APART:
+        return None
+    return (
+        f"white and black differ by {times:.2g} times what the patterns differ by ({least:.1f} to {_APART} "
+        "is right): they are other frames, or have another exposure"
+    )

@@ -68,6 +68,16 @@ def test_bar_poses_in_one_plane_are_doubted_and_the_plane_is_named() -> None:
     assert any(re.search(r"of [CP][12].* trade against each other.*of one plane", w) for w in warnings)
 
 
+@pytest.mark.parametrize(("tilt", "doubted"), [(0.1, True), (0.3, False)])
+def test_a_camera_alone_whose_boards_are_hardly_tilted_is_doubted(tilt: float, doubted: bool) -> None:
+    tilts = ((0.0, 0.0, 0.0), (tilt, 0.0, 0.0), (-tilt, tilt, 0.0), (0.0, -tilt, 0.5))
+    rig = session(SessionDesign(camera_pixels=512, angles=(), board_tilts=tilts)).problem
+    boards = tuple(p for p in rig.board_points if p.sensor == 0)
+    found = adjust(replace(rig, sensors=rig.sensors[:1], board_points=boards))
+    warned = [bool(re.match(r"f[xy] of C1 is uncertain by 0.*wanted.*; add ", w)) for w in found.warnings]
+    assert warned == [True] * doubted
+
+
 def test_focal_length_and_distance_are_named_when_they_trade() -> None:
     normal = np.eye(4 * PER_SENSOR)
     f, d = 3 * PER_SENSOR + 6, 3 * PER_SENSOR + 5  # of P2

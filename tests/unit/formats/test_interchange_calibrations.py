@@ -357,6 +357,27 @@ def test_higher_coefficients_are_taken_only_where_they_are_zero(tmp_path: Path) 
     np.testing.assert_array_equal(first_five(found.intrinsics), D1)
 
 
+@pytest.mark.parametrize(
+    ("matrix", "size", "said"),
+    [
+        (K1, (1280, 1024), None),
+        (K1, (640, 512), "lies 50% of a side from the middle of an image of 640 x 512 px"),
+        (K1, (1024, 1280), "px lies 1"),
+        (np.divide(K1, [[100.0], [100.0], [1.0]]), (1280, 1024), "are its numbers not in pixels?"),
+        (np.multiply(K1, [[1.0], [0.5], [1.0]]), (1280, 512), "are those of pixels that are no squares"),
+    ],
+    ids=["as it is", "binned", "sides exchanged", "millimetres", "lines left out"],
+)
+def test_a_camera_of_other_images_is_remarked(
+    matrix: object, size: tuple[int, int], said: str | None, tmp_path: Path
+) -> None:
+    values = {"image_width": size[0], "image_height": size[1], "camera_matrix": np.array(matrix)}
+    path = saved(tmp_path / "left.yml", {**values, "distortion_coefficients": [0.0] * 5})
+    remarks = read_calibration([path], GIVEN).remarks
+    assert len(remarks) == (said is not None)
+    assert said is None or said in remarks[0]
+
+
 CONTRADICTIONS: list[tuple[Supplement, str]] = [
     (replace(GIVEN, rig=None, volume=None), "is incomplete: add the `rig` and the `volume`"),
     (replace(GIVEN, valid_from=datetime(2026, 5, 4)), "needs a zone"),  # noqa: DTZ001

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from sqlalchemy import text
 from support.archives import Clock, run_jobs, work_again
+from support.command import inside
 from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
+from sms_jobs.app.calibrating.calibrations import certify
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.tables.every import METADATA
 from sms_jobs.cli.importing.group import app
@@ -142,6 +144,24 @@ def test_points_of_two_cameras_calibrate_both(tmp_path: Path) -> None:
     # Exact images of cameras 300 mm apart, as doubles: what is left is where the iterations stop.
     assert np.linalg.norm(first.centre() - second.centre()) == pytest.approx(300.0, rel=1e-4)
     assert found.calibration.rig.sensor("C2").intrinsics.fx == pytest.approx(900.0, rel=1e-4)
+
+
+def test_what_speaks_against_a_calibration_is_shown_in_words(tmp_path: Path) -> None:
+    file, home = tmp_path / "points.csv", tmp_path / "home"
+    rows = [row for row in two_cameras(set()).splitlines() if not row.startswith("E,")]
+    twice = [row.replace("D,", "E,", 1) for row in rows if row.startswith("D,")]
+    file.write_text("\n".join([*rows, *twice]) + "\n", encoding="utf-8")
+    initialised(home)
+    sizes = ("--size", "C1=640x480", "--size", "C2=640x480", "--sigma-px", "0.02")
+    options = ["points", str(file), "-c", "june", "--rig", "desk", "--view", "C1C2", *sizes]
+    assert CliRunner().invoke(app, [*options, "--home", str(home)]).exit_code == 0
+    with bootstrap.services(home) as services:
+        work_again(services.catalogue, clock := Clock())
+        run_jobs(services.catalogue, services.archive, clock, [Request("calibrate-boards")], "june")
+        number = certify(services, "june", despite_warnings=True).number
+    shown = inside("calibration", "show", str(number), "--home", str(home))
+    assert shown.returncode == 0, shown.stderr
+    assert "warning: poses D and E are one picture" in shown.stderr
 
 
 @pytest.mark.parametrize(

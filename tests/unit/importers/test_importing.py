@@ -110,6 +110,26 @@ def test_frames_of_another_state_are_remarked_on(run: Import, tmp_path: Path) ->
         run(*frames(folder, "--rig", "bench"))
 
 
+@pytest.mark.parametrize(
+    ("level", "told"),
+    [
+        (None, []),
+        (0.0, ["images is blank: every pixel of S00/frame_06.png is 0"]),
+        (255.0, ["is blank: every pixel", "saturate: 100% of S00/frame_06.png is at grey level 255"]),
+    ],
+)
+def test_a_white_frame_without_texture_is_remarked_on(
+    level: float | None, told: list[str], run: Import, tmp_path: Path
+) -> None:
+    shown = fringes(noise=1.0)
+    white = 1.5 * shown.mean(axis=0) if level is None else np.full_like(shown[0], level)
+    save(tmp_path / "scans" / "S00", np.concatenate([shown, white[None]]))
+    remarks = run(*frames(tmp_path / "scans", "--frames", "fringes white"))["remarks"]
+    found = [said for said in remarks if "matched" in said or "to match" in said]
+    assert len(found) == len(told)
+    assert all(words in said for words, said in zip(told, found, strict=True))
+
+
 def test_a_bad_tuple_is_left_out_as_a_whole_and_the_others_come_in(run: Import, tmp_path: Path) -> None:
     folder = tmp_path / "scans"
     for label in ("S00", "S01", "S02"):

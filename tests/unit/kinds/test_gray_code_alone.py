@@ -96,6 +96,19 @@ def binary(frames: NDArray[Any]) -> NDArray[Any]:
     return shown.reshape(frames.shape)
 
 
+def exposed(frame: int, times: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    def change(frames: NDArray[Any]) -> NDArray[Any]:
+        found = frames.copy()
+        found[frame] = np.minimum(times * frames[frame], 4095.0)
+        return found
+
+    return change
+
+
+def twice_white(frames: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate([frames[:-1], frames[-2:-1]])
+
+
 @pytest.mark.parametrize(
     ("threshold", "change", "told"),
     [
@@ -108,6 +121,9 @@ def binary(frames: NDArray[Any]) -> NDArray[Any]:
         ("white-black", exchanged((1, 3)), "along 0 deg: bits 1 and 3 have changed places"),
         ("white-black", exchanged((14, 15)), "the black frame is brighter than the white one"),
         ("white-black", exchanged((9, 15)), "along 0 deg: bit"),
+        ("white-black", exposed(14, 2.0), "white and black differ by 2 times what the patterns differ by"),
+        ("white-black", exposed(14, 0.7), "is brighter than white or darker than black"),
+        ("white-black", twice_white, "white and black differ by 0 times what the patterns differ by"),
     ],
 )
 def test_frames_in_another_order_are_refused_by_name(

@@ -22,6 +22,7 @@ from sms_jobs.metrology.calibration.bundle.board_points import (
     placement_covariance,
     point_equations,
 )
+from sms_jobs.metrology.calibration.bundle.changed_lenses import changed_lenses
 from sms_jobs.metrology.calibration.bundle.checks import (
     check_before,
     check_counts,
@@ -284,6 +285,7 @@ def _result(problem: BundleProblem, packed: Packed, options: BundleOptions, fit:
     in_mm = object_residuals(packed, fit.state)
     rms = rms_tables(problem, packed, fit.normal.observed, in_mm, fit.live)
     warnings += points.warnings + prior_warnings(lengths)
+    warnings += changed_lenses(problem, fit.state, fit.freedom, covariance, by_points)
     warnings += pose_warnings(problem, packed, fit.live, rms)
     used, residuals = per_item(problem, packed, fit.normal.observed, in_mm, fit.live)
     return Adjustment(

@@ -25,6 +25,9 @@ from sms_jobs.metrology.small_systems import inverse
 _MOST_RELATIVE = 0.01
 """Of a focal length, and of a principal point over the focal length: beyond it nothing is linear."""
 
+_DOUBTED_ALONE = 0.002
+"""Of a focal length where no pair measures points, by which a calibration is judged otherwise."""
+
 _REFUSED_PART, _DOUBTED_PART = 1e-3, 2e-4
 """Of the volume's diagonal, for the standard deviation of a point in the shape of things, scale apart; the
 doubted one is the thesis's 1/5000."""
@@ -166,7 +169,6 @@ def check_determined(
     """
     count = PER_SENSOR * len(problem.sensors)
     places = np.flatnonzero(freedom.free[:count])
-    names = tuple(s.name for s in problem.sensors)
 
     def words() -> str:
         return weakest_in_words(problem, freedom, normal)
@@ -175,18 +177,21 @@ def check_determined(
     if found is None or np.max(np.diag(found) * np.diag(normal)) > _SINGULAR:
         raise CalibrationFailed(f"the observations leave the calibration open: {words()}")
     covariance = freedom.unfold_covariance(found if added is None else found + added)
-    deviation = np.sqrt(np.maximum(np.diag(covariance)[:count].reshape(-1, PER_SENSOR), 0.0))
-    for i, name in enumerate(names):
-        for k in range(6, 10):
-            part = deviation[i, k] / state.lens[i, k % 2]
-            if part > _MOST_RELATIVE:
-                raise CalibrationFailed(
-                    f"{SENSOR_PARAMETERS[k]} of {name} would be uncertain by {part:.1%} of its focal length "
-                    f"(limit {_MOST_RELATIVE:.0%}): {words()}"
-                )
+    part, which = _worst_lens(problem, state, covariance, ("fx", "fy", "cx", "cy"))
+    if part > _MOST_RELATIVE:
+        raise CalibrationFailed(
+            f"{which} would be uncertain by {part:.1%} of its focal length (limit {_MOST_RELATIVE:.0%}): "
+            + words()
+        )
     if not len(places):
         return Determined(covariance)
     worst, scale, pair, diagonal = _worst_point(problem, state, covariance[:count, :count])
+    if not pair:
+        part, which = _worst_lens(problem, state, covariance, ("fx", "fy"))
+        if part > _DOUBTED_ALONE:
+            uncertain = f"{which} is uncertain by {part:.2%} of its focal length"
+            told = f"{uncertain} (wanted {_DOUBTED_ALONE:.1%}): {words()}"
+            return Determined(covariance, warnings=(told,))
     if worst <= _DOUBTED_PART * diagonal:
         return Determined(covariance, worst, scale)
     finding = (
@@ -197,6 +202,21 @@ def check_determined(
         raise CalibrationFailed(f"{finding} (limit 1/{1 / _REFUSED_PART:.0f}): {words()}")
     warning = f"{finding} (wanted 1/{1 / _DOUBTED_PART:.0f}): {words()}"
     return Determined(covariance, worst, scale, (warning,))
+
+
+def _worst_lens(
+    problem: BundleProblem, state: State, covariance: Floats, names: tuple[str, ...]
+) -> tuple[float, str]:
+    """Return the largest deviation of some parameters in px, over the focal length, and which that is."""
+    worst, named = 0.0, ""
+    for i, sensor in enumerate(problem.sensors):
+        for name in names:
+            k = SENSOR_PARAMETERS.index(name)
+            variance = covariance[PER_SENSOR * i + k, PER_SENSOR * i + k]
+            part = float(np.sqrt(max(variance, 0.0))) / state.lens[i, k % 2]
+            if part > worst:
+                worst, named = part, f"{name} of {sensor.name}"
+    return worst, named
 
 
 def weakest_in_words(problem: BundleProblem, freedom: Freedom, normal: Floats) -> str:
