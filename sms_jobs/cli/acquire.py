@@ -210,6 +210,7 @@ class _Followed:
                 [(v.subject, *_words(v.statistics)) for v in recorded.verdicts],
                 empty="nothing was recorded",
             )
+            waiting.tell_remarks(recorded.waited)
         return not recorded.waited.failures
 
     def end(self) -> None:

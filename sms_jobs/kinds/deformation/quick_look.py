@@ -77,6 +77,7 @@ from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quick_look import QuickLook
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.statistic_names import (
     DOUBTS,
     GAUGE_QUANTITIES,
@@ -217,7 +218,7 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
                 statistics["blur_px"] = blur
     look = replace(look, doubts=tuple(doubts))
     statistics |= {DOUBTS: float(len(doubts)), **_of_gauges(look)}
-    progress(1.0, "; ".join(doubts) or "nothing is doubted")
+    progress(1.0, remarked(*doubts) or "nothing is doubted")
     yield DatasetOutput(inputs.subject, {QUICK_LOOK: look, **records}, statistics)
 
 
