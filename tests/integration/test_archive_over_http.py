@@ -83,10 +83,22 @@ def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) ->
         web.post("/jobs", json={"campain": "plate", "kinds": ["strain"]}), 422, "'campain' is not known here"
     )
     refused(web.post("/jobs", json={"kinds": ["strain"]}), 422, "'campaign' is missing")
+    plate = {"campaign": "plate", "kinds": ["strain"]}
+    for given, said in (
+        ({"priority": None}, "'priority': it should be a whole number, not null;"),
+        ({"priority": "high"}, "'priority': it should be a whole number, not \"high\";"),
+        ({"priority": 101}, "'priority': it should be less than or equal to 100, not 101;"),
+        ({"run": "x" * 1001}, "'run': it should have at most 1000 characters, not 1001;"),
+        ({"run": "a\0b"}, "'run': it should have no character of code 0, not"),
+    ):
+        refused(web.post("/jobs", json=plate | given), 422, said)
     refused(web.post("/jobs", content="{bad"), 422, "application/json")
     secret = web.post("/session", json={"name": "anna", "password": 12345678901234})
     assert secret.status_code == 422
     assert "12345678901234" not in secret.text
+    mistaken = web.post("/session", json={"name": ["correct horse"], "password": "anna"})
+    assert mistaken.status_code == 422
+    assert "horse" not in mistaken.text
     refused(web.get("/data/nothing/here/at/all"), 404, "there is no address /api/v1/data/nothing/here/at/all")
     refused(web.delete("/jobs"), 405, "/api/v1/jobs does not take DELETE")
 
