@@ -33,6 +33,7 @@ from sms_jobs.web.request_bodies import TEXT
 
 _LETTERS = 100
 _OF_ADDRESSES = {
+    400: "the body cannot be read as JSON: it should be text in UTF-8, not nested thousands of levels deep",
     404: "there is no address {path}; GET /api/v1 lists them",
     405: "{path} does not take {method}; GET /api/v1 lists what it takes",
 }
@@ -131,6 +132,10 @@ def _told(errors: Sequence[Any], body: Any) -> str:
     if first["loc"] == ("body",) and isinstance(first.get("input"), str | bytes):
         return "the body should be an object in JSON, sent with 'Content-Type: application/json'"
     words = in_words(first["msg"]).replace(f"match pattern '{TEXT}'", "have no character of code 0")
+    if first["type"].startswith(("datetime", "timezone")):
+        words = "it should be a time with its zone, such as 2026-05-04T10:00:00Z"
+        hint = "; in an address '+' is written '%2B'" if first["loc"][0] == "query" else ""
+        return f"'{place}': {words}{_given(first, body)}{hint}"
     return f"'{place}': {words}{_given(first, body)}"
 
 

@@ -93,6 +93,14 @@ def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) ->
     ):
         refused(web.post("/jobs", json=plate | given), 422, said)
     refused(web.post("/jobs", content="{bad"), 422, "application/json")
+    for body in (b'{"campaign": "pl\xff"}', b"[" * 100_000):
+        told = web.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+        refused(told, 400, "the body cannot be read as JSON: it should be text in UTF-8")
+    for since in ("yesterday", "2026-01-01", "2026-01-01T00:00:00", "2026-01-01T00:00:00 02:00"):
+        told = (
+            f"it should be a time with its zone, such as 2026-05-04T10:00:00Z, not '{since}'; in an address"
+        )
+        refused(web.get("/audit", params={"since": since}), 422, told)
     secret = web.post("/session", json={"name": "anna", "password": 12345678901234})
     assert secret.status_code == 422
     assert "12345678901234" not in secret.text
