@@ -315,3 +315,5 @@ def test_a_gauge_on_a_part_that_a_file_lacks_is_refused_with_those_it_has(servic
         gauge_at(services, other, "G1 x=4 y=3 length=4", part="C9")
     with pytest.raises(NotFound, match=f"^file {other} has no part 'C9'; leave the part out$"):
         fields_of(services, other, "C9")
+    with pytest.raises(InvalidInput, match=r"^file 1 \(campaign\) has no field over an image; choose"):
+        fields_of(services, "1")
