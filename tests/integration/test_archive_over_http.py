@@ -68,6 +68,16 @@ def test_files_are_found_page_by_page(web: httpx2.Client) -> None:
     refused(web.get("/data/find", params={"query": "where campaign = nobody"}), 404, "nobody")
 
 
+def test_jobs_are_listed_page_by_page_to_the_first(web: httpx2.Client) -> None:
+    every = [one["id"] for one in web.get("/jobs", params={"limit": 10_000}).json()]
+    seen: list[str] = []
+    while page := web.get("/jobs", params={"limit": 4} | ({"after": seen[-1]} if seen else {})).json():
+        seen += [one["id"] for one in page]
+    assert seen == every
+    assert len(every) > 4
+    refused(web.get("/jobs", params={"after": "none"}), 404, "there is no job 'none'")
+
+
 def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) -> None:
     refused(
         web.get("/data/states", params={"where": "load > 3 kN"}),

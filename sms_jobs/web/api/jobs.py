@@ -139,9 +139,11 @@ def list_jobs(
     campaign: Text | None = None,
     kind: Text | None = None,
     limit: Limit = 50,
+    after: Annotated[Text | None, Query(description="Id of the last job that is known already.")] = None,
 ) -> Any:
     """Return jobs, the latest first."""
-    return answer(jobs.list_jobs(services, campaign=campaign, states=states, kind=kind, limit=limit))
+    found = jobs.list_jobs(services, campaign=campaign, states=states, kind=kind, limit=limit, after=after)
+    return answer(found)
 
 
 @ROUTES.offer("POST", "/jobs", jobs.submit, answers=SubmittedJobs)
