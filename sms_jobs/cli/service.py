@@ -13,7 +13,6 @@ from sms_jobs.app.home import service
 from sms_jobs.app.home.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
-from sms_jobs.cli.serve import HERE, require_here
 from sms_jobs.cli.waiting import outlook_text
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.sizes import number_of, size
@@ -46,13 +45,18 @@ def up(
     web: Annotated[bool, typer.Option("--web", help="Serve the console, too, as 'sms serve' does.")] = False,
     listen: Annotated[
         str | None,
-        typer.Option(help="Address and port of the console on this machine.", show_default=HERE),
+        typer.Option(
+            help="Address and port of the console on this machine; that of 'sms serve' if not given."
+        ),
     ] = None,
 ) -> None:
     """Serve: run queued jobs until Ctrl-C, which lets running jobs finish; twice kills them.
 
     Example: sms up --home /data/sms --web
     """
+    # Which a status need not load.
+    from sms_jobs.cli.serve import HERE, require_here
+
     if listen is not None and not web:
         raise InvalidInput(
             f"--listen {listen} is where the console would be: give --web, too, or leave it out"
