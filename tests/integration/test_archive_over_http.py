@@ -121,6 +121,27 @@ def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) ->
     refused(web.delete("/jobs"), 405, "/api/v1/jobs does not take DELETE")
 
 
+def test_a_queue_is_paused_as_it_is_told_or_not_at_all(web: httpx2.Client) -> None:
+    for address, given, said in (
+        ("pause", {"names": ["cpu"], "reson": "the rig"}, "'reson' is not known here"),
+        (
+            "pause",
+            {"names": ["cpu"], "reason": "x" * 1001},
+            "'reason': it should have at most 1000 characters",
+        ),
+        ("resume", {"names": ["cpu"], "all": True}, "'all' is not known here"),
+        ("priority", {"jobs": [], "campaign": "plate", "value": "5"}, "'value': it should be a whole number"),
+        ("move", {"jobs": [], "to": "front", "where": "x"}, "'where' is not known here"),
+    ):
+        refused(web.post(f"/queues/{address}", json=given), 422, said)
+    refused(web.post("/devices/release", json={"device": "C1", "rig": "x"}), 422, "'rig' is not known here")
+    assert [one["paused_at"] for one in web.get("/queues").json()] == [None] * 3
+    assert web.post("/queues/pause", json={"names": ["io"]}).is_success
+    (paused,) = [one for one in web.get("/queues").json() if one["paused_at"]]
+    assert paused["reason"] == f"paused by {web.get('/session').json()['name']}"
+    assert web.post("/queues/resume", json={"names": ["io"]}).is_success
+
+
 def test_a_query_is_kept_asked_and_forgotten(web: httpx2.Client) -> None:
     kept = web.post("/data/queries", json={"name": "all-strain", "text": "strain"})
     assert kept.json()["text"] == "strain"
