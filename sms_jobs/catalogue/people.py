@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -54,7 +54,15 @@ def person_view(row: PersonRow) -> PersonView:
 
 
 def add(session: Session, name: str, role: Role, password: str | None, now: datetime) -> PersonRow:
-    """Give somebody a name; raise `Conflict` where it is taken. `password` is hashed already."""
+    """Give somebody a name; raise `Conflict` where it is taken, or differs from one in case alone.
+
+    `password` is hashed already.
+    """
+    alike = session.scalar(select(PersonRow.name).where(func.lower(PersonRow.name) == name.lower()))
+    if alike not in (None, name):
+        raise Conflict(
+            f"there is already a person '{alike}', and '{name}' differs in case alone; choose another name"
+        )
     row = PersonRow(name=name, role=role.value, password=password, active=True, created_at=now)
     session.add(row)
     try:

@@ -210,6 +210,7 @@ class _Followed:
                 [(v.subject, *_words(v.statistics)) for v in recorded.verdicts],
                 empty="nothing was recorded",
             )
+            waiting.tell_remarks(recorded.waited)
         return not recorded.waited.failures
 
     def end(self) -> None:
@@ -217,7 +218,9 @@ class _Followed:
         counted = sum((Counter(turn.waited.counted) for turn in self._turns), Counter[str]())
         if self._as_json:
             recorded = [verdict for turn in self._turns for verdict in turn.verdicts]
-            output.print_json({"jobs": dict(counted), "recorded": recorded})
+            remarks = [one for turn in self._turns for one in turn.waited.remarks]
+            told = {"remarks": remarks} if remarks else {}
+            output.print_json({"jobs": dict(counted), "recorded": recorded} | told)
         failed = sum(turn.waited.failures for turn in self._turns)
         if failed:
             why = self._turns[-1].waited.failure

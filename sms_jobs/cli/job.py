@@ -19,7 +19,7 @@ from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
 from sms_jobs.cli.options import CampaignOption, JobId, NoCache, Priority
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import as_json as outlook_as_json
-from sms_jobs.cli.waiting import estimate_text, followed, outlook_text
+from sms_jobs.cli.waiting import estimate_text, followed, outlook_text, tell_remarks
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.sizes import number_of, size
@@ -331,9 +331,10 @@ def watch(
                     output.print_json({"jobs": now.counted} | ahead)
                 counted_before = now.counted
 
-            counted = wait_for(services, some, tell=tell).counted
+            waited = wait_for(services, some, tell=tell)
     if not as_json:
-        output.print_sentence(", ".join(f"{n} {s}" for s, n in counted.items()) or _NONE_ACTIVE)
+        output.print_sentence(", ".join(f"{n} {s}" for s, n in waited.counted.items()) or _NONE_ACTIVE)
+        tell_remarks(waited)
 
 
 @app.command()
@@ -423,7 +424,8 @@ def _tell_waited(waited: Waited, as_json: bool) -> None:
     empty = waited.empty
     if as_json:
         nothing = {"nothing_valid": {"jobs": empty.count, "latest": empty.latest}} if empty.count else {}
-        output.print_json({"jobs": waited.counted} | nothing)
+        told = {"remarks": waited.remarks} if waited.remarks else {}
+        output.print_json({"jobs": waited.counted} | nothing | told)
     else:
         counted = dict(waited.counted)
         if empty.count:
@@ -433,4 +435,5 @@ def _tell_waited(waited: Waited, as_json: bool) -> None:
         output.say(said or _NONE_ACTIVE)
         if empty.count:
             output.say(empty.latest)
+        tell_remarks(waited)
     waited.require_success()

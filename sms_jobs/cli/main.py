@@ -13,10 +13,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sms_jobs.errors import SmsError, StorageUnusable
+from sms_jobs.errors import SmsError, StorageUnusable, in_words
+
+if TYPE_CHECKING:
+    from typer.exceptions import TyperException
 
 _INTERRUPTED = 130
+_LETTERS = 100
 _TRUE = frozenset({"1", "true", "t", "yes", "y", "on"})
 
 
@@ -48,7 +53,7 @@ def _run() -> None:
             sys.exit(error.exit_code)
         context = getattr(error, "ctx", None)
         hint = f"; see '{context.command_path} --help'" if context is not None else ""
-        _refuse(error, f"{error.format_message().rstrip('.')}{hint}", error.exit_code)
+        _refuse(error, f"{_told(error)}{hint}", error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         output.say("interrupted")
         sys.exit(_INTERRUPTED)
@@ -59,6 +64,18 @@ def _run() -> None:
         text = f"internal error ({type(error).__name__}: {error}); run again with 'sms --debug' and report it"
         _refuse(error, text, 1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _told(error: TyperException) -> str:
+    """Say in words of people what is wrong with a command line; of a value, which it is."""
+    message = error.format_message().rstrip(".")
+    found = getattr(error.__cause__, "errors", None)
+    if found is None:
+        return message
+    first = found()[0]
+    # What is no member of several says itself which it is.
+    given = "" if first["type"] == "value_error" else f", not {str(first['input'])[:_LETTERS]!r}"
+    return f"{in_words(message)}{given}"
 
 
 class _Answers(io.TextIOWrapper):

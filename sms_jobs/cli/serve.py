@@ -21,13 +21,15 @@ if TYPE_CHECKING:
     import uvicorn
 
 _KEPT_OPEN_S = 75
+HERE = "127.0.0.1:8470"
+"""Where the console is unless told otherwise."""
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def serve(
     listen: Annotated[
         str, typer.Option(help="Address and port; another address than this machine's own needs TLS.")
-    ] = "127.0.0.1:8470",
+    ] = HERE,
     tls_certificate: Annotated[Path | None, typer.Option(help="Certificate chain (PEM).")] = None,
     tls_key: Annotated[Path | None, typer.Option(help="Private key of the certificate (PEM).")] = None,
     behind_proxy: Annotated[
@@ -119,6 +121,16 @@ def _require_free(address: str, port: int) -> None:
             f"nothing can listen on {address}, port {port}: {error.strerror}; stop what serves there, or "
             "choose another with --listen"
         ) from error
+
+
+def require_here(listen: str) -> None:
+    """Raise `InvalidInput` for what is no address and port, or can be reached from other machines."""
+    address, _ = _place(listen)
+    if address not in _LOOPBACK:
+        raise InvalidInput(
+            f"{address} can be reached from other machines: 'sms serve' serves the console there, with "
+            "--tls-certificate and --tls-key, or --behind-proxy"
+        )
 
 
 def _place(listen: str) -> tuple[str, int]:

@@ -14,6 +14,7 @@ from sms_jobs.app.home.service import Status
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import outlook_text
+from sms_jobs.errors import InvalidInput
 from sms_jobs.records.sizes import number_of, size
 
 
@@ -43,13 +44,24 @@ def up(
     ] = False,
     web: Annotated[bool, typer.Option("--web", help="Serve the console, too, as 'sms serve' does.")] = False,
     listen: Annotated[
-        str, typer.Option(help="Address and port of the console, as of 'sms serve'.")
-    ] = "127.0.0.1:8470",
+        str | None,
+        typer.Option(
+            help="Address and port of the console on this machine; that of 'sms serve' if not given."
+        ),
+    ] = None,
 ) -> None:
     """Serve: run queued jobs until Ctrl-C, which lets running jobs finish; twice kills them.
 
     Example: sms up --home /data/sms --web
     """
+    # Which a status need not load.
+    from sms_jobs.cli.serve import HERE, require_here
+
+    if listen is not None and not web:
+        raise InvalidInput(
+            f"--listen {listen} is where the console would be: give --web, too, or leave it out"
+        )
+    require_here(listen or HERE)
     output.log_to_stderr()
     with bootstrap.services(home) as services:
         supervisor = service.supervisor(services)
@@ -57,7 +69,7 @@ def up(
             f"worker {supervisor.worker_id} serves {services.settings.home} with "
             f"{number_of(services.settings.workers, 'job')} at a time; Ctrl-C ends it"
         )
-        with service.served(services, listen) if web else nullcontext():
+        with service.served(services, listen or HERE) if web else nullcontext():
             supervisor.run(until_idle=until_idle)
 
 

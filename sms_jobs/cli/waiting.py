@@ -14,7 +14,7 @@ from sms_jobs.records.shown.estimates import Estimate, Outlook
 from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
-    from sms_jobs.app.work.waiting import Waiting
+    from sms_jobs.app.work.waiting import Waited, Waiting
 
 _NO_WORKER = "no worker is there: start one with 'sms up'"
 _STARTS_WITHIN_S = 10.0
@@ -73,6 +73,18 @@ def _unserved(estimate: Estimate) -> str:
     """Say which queues no worker serves, and what to do; nothing where each is served."""
     queues = ", ".join(estimate.unserved)
     return queues and f"no worker serves the queue {queues}: start 'sms up', for a rig on its host"
+
+
+def tell_remarks(waited: Waited) -> None:
+    """Say what jobs remark about their data, the first of each kind, and where the others stand."""
+    for of_kind in waited.remarks:
+        for said in of_kind.first:
+            output.say(f"note: {of_kind.kind} {said}")
+        if more := of_kind.jobs - len(of_kind.first):
+            output.say(
+                f"note: {number_of(more, 'more job')} of {of_kind.kind} remark{'s' if more == 1 else ''} "
+                f"something: see 'sms job list --kind {of_kind.kind}'"
+            )
 
 
 def as_json(outlook: Outlook) -> dict[str, Any]:

@@ -351,7 +351,7 @@ class Lab:
     def wait(self, job: Submitted | str, timeout_s: float | None = None) -> Waited:
         """Wait for what was submitted, or for the job whose id begins so; a service has to run in the home.
 
-        Returns how many ended in each state.
+        Returns how many ended in each state, and what they remark about their data.
 
         Raises
         ------

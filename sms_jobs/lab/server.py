@@ -27,6 +27,7 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.estimates import Estimate
 from sms_jobs.records.shown.files import FileView, Found, Page
 from sms_jobs.records.shown.planned_recordings import Dropped, PlannedRecording
+from sms_jobs.records.shown.remarks import Remarks
 from sms_jobs.records.shown.runs import RunComparison
 from sms_jobs.records.shown.states import FoundState, StatePage
 from sms_jobs.records.specimen_frame import SpecimenFrame
@@ -46,6 +47,7 @@ _ESTIMATE = TypeAdapter(Estimate)
 _COMPARISON = TypeAdapter(RunComparison)
 _FRAME = TypeAdapter(SpecimenFrame)
 _PLAN = TypeAdapter(list[PlannedRecording])
+_REMARKS = TypeAdapter(list[Remarks])
 
 
 class Server:
@@ -204,14 +206,17 @@ class Server:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         counted: Counter[str] = Counter()
         active, failure = 0, ""
+        told: list[Remarks] = []
         for first in range(0, len(ids), _AT_ONCE):
             looked = self._ended(ids[first : first + _AT_ONCE], deadline)
             counted.update(looked["jobs"])
             active += looked["active"]
             failure = looked["failure"] or failure
+            # One before this version tells none.
+            told += _REMARKS.validate_python(looked.get("remarks", ()))
         if active and timeout_s is not None:
             raise timed_out(active, dict(counted), timeout_s)
-        return Waited(dict(counted), failure)
+        return Waited(dict(counted), failure, remarks=tuple(told))
 
     def explain(self, job: str) -> Explanation:
         """Say why a job stands where it does."""

@@ -107,7 +107,10 @@ class _Protection:
         if scope["method"] in _SAFE:
             return None
         if not _of_this_site(headers):
-            return NotAllowed("a page of another site asked for a change; nothing was changed")
+            return NotAllowed(
+                "a page of another site asked for a change, or a program with the session of a browser; "
+                "nothing was changed: programs come in with a token, which 'sms token create' gives"
+            )
         if int(headers.get("content-length", "0") or 0) > _LARGEST_BODY:
             return TooLarge(_TOO_LARGE)
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,9 +29,11 @@ from sms_jobs.errors import (
     in_words,
 )
 from sms_jobs.records.texts import harmless
+from sms_jobs.web.request_bodies import TEXT
 
 _LETTERS = 100
 _OF_ADDRESSES = {
+    400: "the body cannot be read as JSON: it should be text in UTF-8, not nested thousands of levels deep",
     404: "there is no address {path}; GET /api/v1 lists them",
     405: "{path} does not take {method}; GET /api/v1 lists what it takes",
 }
@@ -116,7 +119,7 @@ def refused(error: SmsError) -> dict[str, Any]:
     }
 
 
-def _told(errors: Sequence[Any]) -> str:
+def _told(errors: Sequence[Any], body: Any) -> str:
     """Say what is wrong with a request; of a misspelt name before what then is missing."""
     first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
     place = ".".join(str(part) for part in first["loc"][1:]) or str(first["loc"][0])
@@ -126,12 +129,27 @@ def _told(errors: Sequence[Any]) -> str:
         return f"'{place}' is not known here"
     if first["type"] == "missing":
         return f"'{place}' is missing"
-    value = first.get("input")
-    # What stands in a body may be a password.
-    given = f", not {str(value)[:_LETTERS]!r}" if first["loc"][0] in ("query", "path") else ""
-    if first["loc"] == ("body",) and isinstance(value, str | bytes):
+    if first["loc"] == ("body",) and isinstance(first.get("input"), str | bytes):
         return "the body should be an object in JSON, sent with 'Content-Type: application/json'"
-    return f"'{place}': {in_words(first['msg'])}{given}"
+    words = in_words(first["msg"]).replace(f"match pattern '{TEXT}'", "have no character of code 0")
+    if first["type"].startswith(("datetime", "timezone")):
+        words = "it should be a time with its zone, such as 2026-05-04T10:00:00Z"
+        hint = "; in an address '+' is written '%2B'" if first["loc"][0] == "query" else ""
+        return f"'{place}': {words}{_given(first, body)}{hint}"
+    return f"'{place}': {words}{_given(first, body)}"
+
+
+def _given(error: Any, body: Any) -> str:
+    """Return what a value is instead of what it should be; nothing where it may be a password."""
+    value = error.get("input")
+    if error["type"] == "string_too_long":
+        return f", not {len(value)}"
+    if error["loc"][0] in ("query", "path"):
+        return f", not {str(value)[:_LETTERS]!r}"
+    plain = value is None or isinstance(value, str | int | float)
+    if not plain or not isinstance(body, dict) or "password" in body:
+        return ""
+    return f", not {json.dumps(value)[:_LETTERS]}"
 
 
 def install(app: FastAPI) -> None:
@@ -143,7 +161,9 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     def _invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
-        return refusal(InvalidInput(f"{_told(error.errors())}; /api/v1/openapi.json says what is expected"))
+        return refusal(
+            InvalidInput(f"{_told(error.errors(), error.body)}; /api/v1/openapi.json says what is expected")
+        )
 
     @app.exception_handler(HTTPException)
     def _other(request: Request, error: HTTPException) -> JSONResponse:

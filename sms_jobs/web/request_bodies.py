@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated
 
 from fastapi import Path, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 MOST_LETTERS = 1000
 _MOST_NAMES = 1000
-_TEXT = r"^[^\x00]*$"
+TEXT = r"^[^\x00]*$"
 _LARGEST = 2**31 - 1
 
-Text = Annotated[str, Field(pattern=_TEXT, max_length=MOST_LETTERS)]
-LongText = Annotated[str, Field(pattern=_TEXT, max_length=1 << 20)]
+Text = Annotated[str, Field(pattern=TEXT, max_length=MOST_LETTERS)]
+LongText = Annotated[str, Field(pattern=TEXT, max_length=1 << 20)]
 Texts = Annotated[list[Text], Field(max_length=_MOST_NAMES)]
-Moment = Annotated[datetime, Field(strict=False)]
+Moment = Annotated[AwareDatetime, Field(strict=False)]
 Priority = Annotated[int, Field(ge=-100, le=100, description="Higher runs earlier.")]
 Limit = Annotated[int, Query(ge=1, le=10_000, description="How many at most.")]
 Number = Annotated[int, Path(ge=1, le=_LARGEST)]
 FileNumber = Annotated[int, Field(ge=1, le=_LARGEST)]
-Name = Annotated[str, Path(pattern=_TEXT, max_length=MOST_LETTERS)]
+Name = Annotated[str, Path(pattern=TEXT, max_length=MOST_LETTERS)]
 
 Jobs = Annotated[Texts, Field(description="Ids of jobs, or their beginnings.")]
 Campaign = Annotated[Text | None, Field(description="All jobs of a campaign, instead of named ones.")]

@@ -83,3 +83,16 @@ def test_why_is_read_by_keys_and_stays_open_while_the_page_follows(
         assert page.run(f"{WHY}.open")
         assert page.run("window.here")
         assert page.complaints == []
+
+
+def test_an_emptied_priority_is_the_usual_one(services: Services, tmp_path: Path) -> None:
+    with (
+        serving(services.settings.home) as site,
+        Browser(browser_or_skip(), tmp_path / "profile") as page,
+    ):
+        page.screen(1280, 900)
+        page.visit(f"{site}/campaigns/plate?kind=simulate")
+        page.run("document.querySelector('#priority').value = ''")
+        page.click("#estimate")
+        page.wait_for("document.querySelector('#submit .outcome').textContent.includes('Would submit 2')")
+        assert page.complaints == []

@@ -264,6 +264,23 @@ def test_a_page_says_that_the_server_is_away_and_goes_on_by_itself(page: Browser
         assert page.run("new URLSearchParams(location.search).get('next')") == "/"
 
 
+def test_what_is_typed_outlives_the_session(page: Browser, site: str, home: Path) -> None:
+    log_in(page, site, "ada", "/campaigns/plate?kind=simulate")
+    page.run("document.querySelector('#run').value = 'night'")  # it is folded away
+    with bootstrap.services(home) as services:
+        for session in people.list_access(services, "ada"):
+            people.revoke(services, session.id)
+    page.click("#estimate")
+    page.wait_for("document.querySelector('#connection').textContent.includes('Your session has ended')")
+    assert page.run("document.querySelector('#run').value") == "night"
+    again = json.dumps({"name": "ada", "password": PASSWORD})
+    asked = f"fetch('/api/v1/session', {{method: 'POST', body: {json.dumps(again)}, "
+    assert page.run(asked + "headers: {'Content-Type': 'application/json'}}).then(a => a.status)") < 300
+    page.click("#estimate")
+    page.wait_for("document.querySelector('#submit .outcome').textContent.includes('Would submit 2')")
+    page.wait_for("document.querySelector('#connection').hidden", seconds=60)
+
+
 def test_the_console_ends_with_the_service_and_begins_again_when_it_dies(home: Path) -> None:
     port = free_port()
     up = psutil.Popen([*SMS, "up", "--web", "--listen", f"127.0.0.1:{port}", "--home", str(home)])

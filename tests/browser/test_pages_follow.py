@@ -96,3 +96,26 @@ def test_planned_recordings_are_followed(page: Browser, site: str, services: Ser
     page.wait_for("document.querySelectorAll('#planned .state.asks').length === 0")
     planned_recordings.skip(services, "plate")
     see(page, "planned", "plate/S01 is next")
+
+
+def test_what_is_refused_says_so_and_keeps_no_page_from_going_on(
+    page: Browser, site: str, services: Services
+) -> None:
+    schedules.add(services, "twice", "every 1h", Work("plate", ("simulate",)), zone="UTC")
+    schedules.add(services, "kept", "every 1h", Work("plate", ("simulate",)), zone="UTC")
+    watch(page, f"{site}/schedules")
+    page.click("#remove-twice")
+    page.wait_for("document.querySelector('dialog').open")
+    schedules.remove(services, "twice")  # in another window
+    page.click("dialog button[value=yes]")
+    page.wait_for("document.querySelector('#schedules .problem')?.textContent.includes('no schedule')")
+    page.complaints.clear()  # the browser notes the refusal
+    schedules.set_paused(services, "kept", True)
+    page.wait_for("document.querySelector('#hold-kept').textContent === 'Resume'")
+    assert page.run("document.querySelector('#remove-twice')") is None
+    see(page, "schedules > .problem", "there is no schedule \\'twice\\'")
+    # It is over once something else is done.
+    page.click("#hold-kept")
+    page.wait_for("document.querySelector('#hold-kept').textContent === 'Pause'")
+    assert page.run("document.querySelector('#schedules .problem:not(:empty)')") is None
+    schedules.remove(services, "kept")

@@ -104,6 +104,9 @@ def test_a_name_that_is_none_is_refused(desk: Services, name: str) -> None:
 def test_a_name_is_taken_once(desk: Services) -> None:
     with pytest.raises(Conflict, match="anna"):
         people.add(desk, "anna", Role.VIEWER)
+    # Of two names that a person takes for one, who did what would be mistaken.
+    with pytest.raises(Conflict, match="there is already a person 'anna', and 'Anna' differs in case alone"):
+        people.add(desk, "Anna", Role.VIEWER)
 
 
 @pytest.mark.parametrize("length", [11, 1025])

@@ -68,6 +68,16 @@ def test_files_are_found_page_by_page(web: httpx2.Client) -> None:
     refused(web.get("/data/find", params={"query": "where campaign = nobody"}), 404, "nobody")
 
 
+def test_jobs_are_listed_page_by_page_to_the_first(web: httpx2.Client) -> None:
+    every = [one["id"] for one in web.get("/jobs", params={"limit": 10_000}).json()]
+    seen: list[str] = []
+    while page := web.get("/jobs", params={"limit": 4} | ({"after": seen[-1]} if seen else {})).json():
+        seen += [one["id"] for one in page]
+    assert seen == every
+    assert len(every) > 4
+    refused(web.get("/jobs", params={"after": "none"}), 404, "there is no job 'none'")
+
+
 def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) -> None:
     refused(
         web.get("/data/states", params={"where": "load > 3 kN"}),
@@ -83,12 +93,53 @@ def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) ->
         web.post("/jobs", json={"campain": "plate", "kinds": ["strain"]}), 422, "'campain' is not known here"
     )
     refused(web.post("/jobs", json={"kinds": ["strain"]}), 422, "'campaign' is missing")
+    plate = {"campaign": "plate", "kinds": ["strain"]}
+    for given, said in (
+        ({"priority": None}, "'priority': it should be a whole number, not null;"),
+        ({"priority": "high"}, "'priority': it should be a whole number, not \"high\";"),
+        ({"priority": 101}, "'priority': it should be less than or equal to 100, not 101;"),
+        ({"run": "x" * 1001}, "'run': it should have at most 1000 characters, not 1001;"),
+        ({"run": "a\0b"}, "'run': it should have no character of code 0, not"),
+    ):
+        refused(web.post("/jobs", json=plate | given), 422, said)
     refused(web.post("/jobs", content="{bad"), 422, "application/json")
+    for body in (b'{"campaign": "pl\xff"}', b"[" * 100_000):
+        told = web.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+        refused(told, 400, "the body cannot be read as JSON: it should be text in UTF-8")
+    for since in ("yesterday", "2026-01-01", "2026-01-01T00:00:00", "2026-01-01T00:00:00 02:00"):
+        told = (
+            f"it should be a time with its zone, such as 2026-05-04T10:00:00Z, not '{since}'; in an address"
+        )
+        refused(web.get("/audit", params={"since": since}), 422, told)
     secret = web.post("/session", json={"name": "anna", "password": 12345678901234})
     assert secret.status_code == 422
     assert "12345678901234" not in secret.text
+    mistaken = web.post("/session", json={"name": ["correct horse"], "password": "anna"})
+    assert mistaken.status_code == 422
+    assert "horse" not in mistaken.text
     refused(web.get("/data/nothing/here/at/all"), 404, "there is no address /api/v1/data/nothing/here/at/all")
     refused(web.delete("/jobs"), 405, "/api/v1/jobs does not take DELETE")
+
+
+def test_a_queue_is_paused_as_it_is_told_or_not_at_all(web: httpx2.Client) -> None:
+    for address, given, said in (
+        ("pause", {"names": ["cpu"], "reson": "the rig"}, "'reson' is not known here"),
+        (
+            "pause",
+            {"names": ["cpu"], "reason": "x" * 1001},
+            "'reason': it should have at most 1000 characters",
+        ),
+        ("resume", {"names": ["cpu"], "all": True}, "'all' is not known here"),
+        ("priority", {"jobs": [], "campaign": "plate", "value": "5"}, "'value': it should be a whole number"),
+        ("move", {"jobs": [], "to": "front", "where": "x"}, "'where' is not known here"),
+    ):
+        refused(web.post(f"/queues/{address}", json=given), 422, said)
+    refused(web.post("/devices/release", json={"device": "C1", "rig": "x"}), 422, "'rig' is not known here")
+    assert [one["paused_at"] for one in web.get("/queues").json()] == [None] * 3
+    assert web.post("/queues/pause", json={"names": ["io"]}).is_success
+    (paused,) = [one for one in web.get("/queues").json() if one["paused_at"]]
+    assert paused["reason"] == f"paused by {web.get('/session').json()['name']}"
+    assert web.post("/queues/resume", json={"names": ["io"]}).is_success
 
 
 def test_a_query_is_kept_asked_and_forgotten(web: httpx2.Client) -> None:

@@ -125,8 +125,10 @@ def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path)
         )
         (correlate,) = [job for job in run(home, "job", "list") if job["kind"] == "correlate"]
         written = run(home, "job", "submit", "merge", "export", "-c", "grid")["jobs"]
-        assert run(home, "job", "wait", *written)["jobs"]["succeeded"] == 2
+        first = run(home, "job", "wait", *written)
+        assert first["jobs"]["succeeded"] == 2
         (export,) = [job for job in run(home, "job", "list") if job["kind"] == "export"]
+        again = inside("job", "submit", "export", "-c", "grid", "--wait", "--home", str(home))
     # The strain that is made of it is as empty, and its own result knows no reason.
     assert "2 ended with nothing valid" in done.stderr
     assert "correlate grid/1/C1: nothing valid: of the points are lost" in done.stderr
@@ -134,5 +136,9 @@ def test_a_match_that_finds_nothing_says_why_and_what_hides_the_rest(home: Path)
     why = run(home, "job", "explain", correlate["id"])["explanation"]
     assert any("by ambiguous texture" in sentence for sentence in why)
     # Nor has it anything for other programs, which is no failure.
-    assert "; nothing to export of grid-1-C1, where no square of pixels has values" in export["message"]
+    said = "nothing to export of grid-1-C1, where no square of pixels has values"
+    assert f"; note: {said}" in export["message"]
+    # Who waits is told so without looking for it, also where the result is reused.
+    assert first["remarks"] == [{"kind": "export", "jobs": 1, "first": [f"grid/1: {said}"]}]
+    assert f"note: export grid/1: {said}\n" in again.stderr
     assert run(home, "data", "find", "--kind", "export") == []

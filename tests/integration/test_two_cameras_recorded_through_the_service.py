@@ -108,7 +108,8 @@ def test_a_campaign_of_two_cameras_is_recorded_and_its_shape_computed(home: Path
     assert set(files) == {f"pair/{state}/{camera}" for state in ("S00", "S01") for camera in BOTH}
     at_rest, look = looks
     assert [(one["state"], one["view"], one["doubts"]) for one in looks] == [
-        (s, "C1C2", "") for s in ("S00", "S01")
+        ("S00", "C1C2", ""),
+        ("S01", "C1C2", "gauge far has no value: too few neighbours"),
     ]
     assert (at_rest["gauges"], look["gauges_lost"]) == ([], 1)
     # Of what shows texture, but for a rim of some px; on half of the image there is none.

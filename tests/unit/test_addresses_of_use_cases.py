@@ -32,6 +32,7 @@ WITHOUT_ADDRESS = {
     "database.copy": AT_THE_SERVER,
     "demo.run": AT_THE_SERVER,
     "experiments.exact": PART,  # of the demo
+    "exporting.formats_of": PART,  # of the page of fields; GET /formats
     "field_sources.fields_of": PART,  # GET /data/{key}/fields
     "happenings.newest": PART,  # GET /events
     "image_entry.make_campaign": PART,  # POST /imports

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support.command import inside
 
 from sms_jobs import settings
 from sms_jobs.errors import ConfigurationError, InvalidInput, in_words
@@ -51,6 +52,21 @@ def refusal(kind: str, name: str, value: object) -> str:
     except InvalidInput as error:
         return str(error).rpartition(" cannot be ")[2].removeprefix(repr(value))
     return ""
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("job list --limit 0", "'--limit': it should be greater than or equal to 1, not '0'; see"),
+        ("job list --limit x", "'--limit': it should be a whole number, not 'x'; see"),
+        ("job wait --timeout -1", "'--timeout': it should be greater than or equal to 0, not '-1'; see"),
+        ("job list --state no", "'--state': 'no' is not one of 'waiting', 'queued',"),
+    ],
+)
+def test_a_value_of_an_option_is_refused_in_words_and_told(line: str, told: str) -> None:
+    done = inside(*line.split())
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: Invalid value for {told}")
 
 
 def test_a_body_that_is_no_object_is_refused_in_words() -> None:

@@ -54,6 +54,23 @@ def list_formats(services: Services) -> list[Format]:
     return formats()
 
 
+@use_case(Right.READ)
+def formats_of(services: Services, file: str) -> list[Format]:
+    """Return the formats that something of a file can be written in, by name.
+
+    Raises `NotFound` where there is no such file, and `InvalidInput` where it is a document.
+    """
+    from sms_jobs.formats.exporters import all_exporters
+
+    with services.catalogue.reading() as session:
+        view = search.file_view(session, file)
+    if view.media_type != DATASET_MEDIA_TYPE:
+        raise InvalidInput(_NO_DATASET.format(number=view.id, media_type=view.media_type))
+    with services.archive.open(view) as dataset:
+        fitting = {e.name for e in all_exporters().values() if _fitting(dataset, e)}
+    return [one for one in formats() if one.name == _PLAIN_HDF5 or one.name in fitting]
+
+
 @dataclass(frozen=True)
 class Chosen:
     """Which files: one by its number or path, or the newest of a kind of each subject of a campaign."""
@@ -287,7 +304,12 @@ def _form(view: FileView, out: Path | None, options: ExportOptions) -> str | Non
 
 
 def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
-    """Return which records of a file are written: its mesh, or all that the format can hold."""
+    """Return which records of a file are written; where the format can hold none, the first tells why."""
+    return _fitting(dataset, exporter) or [dataset.names[0]]
+
+
+def _fitting(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
+    """Return which records of a file a format can hold: its mesh, or all."""
     from sms_jobs.records.fields import Mesh
 
     fields_by_record = {name: quantities(dataset.record_class(name)) for name in dataset.names}
@@ -295,11 +317,9 @@ def _records(dataset: ArchivedDataset, exporter: Exporter) -> list[str]:
     any_record = object in exporter.takes
     if meshes and (any_record or Mesh in exporter.takes):
         return meshes
-    fitting = [
+    return [
         name for name, fields in fields_by_record.items() if (fields if any_record else "position" in fields)
     ]
-    # If none fits, the first tells why.
-    return fitting or [dataset.names[0]]
 
 
 def _texture(dataset: ArchivedDataset, record: Any) -> Any:

@@ -177,7 +177,9 @@ def _merged(services: Services, key: str) -> _Measured:
     with services.catalogue.reading() as session:
         view = search.file_view(session, key)
     if view.source not in ("merge", "combine"):
-        raise InvalidInput(f"file {key} is a {view.source}; choose a merged or combined result of a state")
+        raise InvalidInput(
+            f"file {key} ({view.source}) is no merged or combined result; choose one of a state"
+        )
     with services.archive.open(view) as dataset:
         meshes = [one.read(dataset) for one in MESH.among(dataset.names)]
     in_mm = [mesh for mesh in meshes if mesh.unit == "mm"]

@@ -122,6 +122,6 @@ def _displacement(session: Session, file: FileView, camera: str) -> tuple[FileVi
             if shape:
                 return one, shape[0]
     raise InvalidInput(
-        f"file {file.id} is a {file.source} that was computed from no displacement; choose a displacement, a "
+        f"file {file.id} ({file.source}) was computed from no displacement; choose a displacement, a "
         "strain or a merged result"
     )

@@ -104,7 +104,7 @@ def fields_of(services: Services, key: str, part: str | None = None) -> Fields:
     parts = _parts(services, file)
     if not parts:
         raise InvalidInput(
-            f"file {key} is a {file.source} and has no field over an image; choose a measurement or a result"
+            f"file {key} ({file.source}) has no field over an image; choose a measurement or a result"
         )
     if part and part not in parts:
         raise no_part(key, part, parts)

@@ -122,7 +122,7 @@ def measured_image(services: Services, key: str) -> Image:
     with services.catalogue.reading() as session:
         view = search.file_view(session, key)
     if view.source != "measurement":
-        raise InvalidInput(f"file {key} is a {view.source}, which has no texture; choose a measurement")
+        raise InvalidInput(f"file {key} ({view.source}) has no texture; choose a measurement")
     with services.archive.open(view) as dataset:
         measurement = MEASURED.read(dataset)
     mean = float(_middle(measurement.texture).astype(np.float64).mean())

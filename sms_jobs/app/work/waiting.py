@@ -14,9 +14,11 @@ from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.estimates import outlook
 from sms_jobs.jobs.running.empty_results import EmptyResults, empty_results
+from sms_jobs.jobs.running.remarks import remarks
 from sms_jobs.records.job import UNSUCCESSFUL, JobState
 from sms_jobs.records.people import Right
 from sms_jobs.records.shown.estimates import Outlook
+from sms_jobs.records.shown.remarks import Remarks
 from sms_jobs.records.sizes import number_of
 
 _EVERY_S = 0.25
@@ -64,11 +66,14 @@ class Waited:
         Where one did not succeed, what the last of these says.
     empty
         Results in which nothing is valid, of jobs that succeeded.
+    remarks
+        What jobs that succeeded remark about their data, by kind.
     """
 
     counted: dict[str, int]
     failure: str = ""
     empty: EmptyResults = EmptyResults()
+    remarks: tuple[Remarks, ...] = ()
 
     @property
     def succeeded(self) -> int:
@@ -140,5 +145,6 @@ def wait_for(
         taken = time.monotonic() - looked
         time.sleep(min(max(_EVERY_S, taken), _OUTLOOK_EVERY_S))
     with services.catalogue.reading() as session:
-        done = Waited(counted, empty=empty_results(session, some, began))
+        empty, told = empty_results(session, some, began), remarks(session, some, began)
+        done = Waited(counted, empty=empty, remarks=told)
         return replace(done, failure=inquiry.failure(session, some)) if done.failures else done

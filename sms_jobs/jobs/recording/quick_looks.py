@@ -20,6 +20,7 @@ from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.jobs.recording.planned_recordings import AWAITED
 from sms_jobs.records.gauge_limits import GaugeLimit
 from sms_jobs.records.job import ACTIVE, SHORT_ID, JobState
+from sms_jobs.records.remarks import remarks_in
 from sms_jobs.records.shown.notifications import Topic
 from sms_jobs.records.shown.planned_recordings import Status
 from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
@@ -82,7 +83,9 @@ def _statistics(session: Session, job_ids: Sequence[str]) -> Mapping[str, dict[s
 
 def _view(subject: Subject, job: JobRow, statistics: Mapping[str, float]) -> QuickLookView:
     done = job.state is JobState.SUCCEEDED
-    doubts = (job.error or job.message) if not done else job.message if statistics.get(DOUBTS) else ""
+    # Results from before remarks were told apart have them in a message of doubts alone.
+    remarks = remarks_in(job.message) or (job.message if statistics.get(DOUBTS) else "")
+    doubts = remarks if done else job.error or job.message
     gauges = tuple(GaugeLook.of(name, statistics) for name in gauges_in(statistics))
     return QuickLookView(
         subject.campaign,

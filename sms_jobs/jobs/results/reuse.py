@@ -18,6 +18,7 @@ from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 from sms_jobs.kinds.kind import Kind
 from sms_jobs.records.job import JobState
+from sms_jobs.records.remarks import remarks_in
 from sms_jobs.records.subject import Subject
 
 _ANYTHING = TypeAdapter(Any)
@@ -44,8 +45,10 @@ _FILES = (
         _FILE.c.content_hash,
         _FILE.c.size_bytes,
         _FILE.c.sha256,
+        _JOB.c.message,
         select(func.count()).where(_SEEN.c.job_id == _FILE.c.job_id).scalar_subquery().label("seen"),
     )
+    .join(_JOB, _JOB.c.id == _FILE.c.job_id)
     .where(_FILE.c.job_id == _NEWEST.scalar_subquery())
     .order_by(_FILE.c.id)
     .with_for_update(read=True, key_share=True, of=_FILE)
@@ -98,10 +101,11 @@ class EarlierFile:
 
 @dataclass(frozen=True)
 class Earlier:
-    """The job that computed the same before, and its files."""
+    """The job that computed the same before, its files, and what it remarked."""
 
     job_id: str
     files: tuple[EarlierFile, ...]
+    remarks: str = ""
 
     @property
     def size_bytes(self) -> int:
@@ -117,7 +121,7 @@ def earlier_success(session: Session, key: str) -> Earlier | None:
     if not files or len(files) < files[0].seen:
         return None
     earlier = (EarlierFile(file.path, file.content_hash, file.size_bytes, file.sha256) for file in files)
-    return Earlier(files[0].job_id, tuple(earlier))
+    return Earlier(files[0].job_id, tuple(earlier), remarks_in(files[0].message))
 
 
 def damage(archive: Archive, earlier: Earlier) -> str:

@@ -51,6 +51,7 @@ from sms_jobs.jobs.running.progress import ThrottledProgress
 from sms_jobs.kinds import kind_named
 from sms_jobs.kinds.kind import DatasetOutput, Inputs, Kind, Output, Station
 from sms_jobs.records.job import SHORT_ID, JobState
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.subject import Subject
 
 T = TypeVar("T")
@@ -299,7 +300,7 @@ class Runner:
         self, session: Session, held: Claim, key: str, earlier: Earlier, fault: SmsError | None
     ) -> Claim | None:
         """End a job with the result of an earlier one, and return the next job."""
-        message = f"reused from job {earlier.job_id[:8]}"
+        message = remarked(earlier.remarks, beside=f"reused from job {earlier.job_id[:8]}")
         done = lifecycle.succeed(
             session, held, self.now(), message, reuse_key=key, reused_from=earlier.job_id
         )

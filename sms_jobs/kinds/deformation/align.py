@@ -39,6 +39,7 @@ from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.subject import Subject, checked_name
 
@@ -128,6 +129,7 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
     here = [_view(inputs, each, parameters) for each in seen]
     records: dict[Product[Any], ViewAlignment] = {}
     statistics: dict[str, float] = {}
+    misfits: list[str] = []
     for number, name in enumerate(parameters.views, start=1):
         there = [_view(inputs, replace(each, campaign=name), parameters) for each in seen]
         points, found = _aligned(here, there, parameters, inputs.threads)
@@ -137,8 +139,9 @@ def run(inputs: Inputs, parameters: AlignParameters, progress: Progress) -> Iter
             f"alignment_scale_{number}": found.scale,
             f"points_{number}": float(len(points.here)),
         }
-        done = f"aligned {name} by {number_of(len(points.here), 'point')}{_misfit(points, found)}"
-        progress(number / len(parameters.views), done)
+        misfits.append(_misfit(name, points, found))
+        done = f"aligned {name} by {number_of(len(points.here), 'point')}"
+        progress(number / len(parameters.views), remarked(*misfits, beside=done))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
@@ -182,15 +185,15 @@ def _start(here: list[View], there: list[View], range_rotation: float, threads: 
     return overlapping(here[-1], there[-1], range_rotation, threads)
 
 
-def _misfit(points: CommonPoints, found: Alignment) -> str:
+def _misfit(name: str, points: CommonPoints, found: Alignment) -> str:
     """Return how far the points miss each other, and how that may be, where it is far more than is stated."""
     if found.scale <= _FAR_OFF:
         return ""
     here, there = (np.var(p[found.used], axis=0).sum() for p in (points.here, points.there))
     return (
-        f", which miss each other by {found.rms_mm:.2g} mm, {found.scale:.0f} times what is stated: lengths "
-        f"there are {np.sqrt(there / here):.4f} of those here; see whether both calibrations have one scale, "
-        "and whether the specimen had one shape"
+        f"the points of {name} miss those here by {found.rms_mm:.2g} mm, {found.scale:.0f} times what is "
+        f"stated: lengths there are {np.sqrt(there / here):.4f} of those here; see whether both calibrations "
+        "have one scale, and whether the specimen had one shape"
     )
 
 

@@ -74,6 +74,7 @@ from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import maximum_displacement
 from sms_jobs.records.subject import Subject
@@ -148,7 +149,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     else:
         field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
-    progress(1.0, f"looked up the displacement{told_of_gaps(before.surface, after.surface)}")
+    progress(1.0, remarked(told_of_gaps(before.surface, after.surface), beside="looked up the displacement"))
     yield DatasetOutput(
         inputs.subject,
         {

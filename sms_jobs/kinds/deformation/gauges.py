@@ -38,6 +38,7 @@ from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, Regions, StrainMeasure, Surface
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.scene import AT_ORIGIN
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import GAUGES as GAUGES_GIVEN
@@ -116,9 +117,8 @@ def run(inputs: Inputs, parameters: GaugesParameters, progress: Progress) -> Ite
         statistics["largest_gauge_strain"] = float(readings.strain[finite].max())
     nothing = [name for name, known in zip(readings.names, finite, strict=True) if not known]
     if nothing:
-        progress(
-            1.0, f"nothing to read under {', '.join(nothing)}: off the specimen, or too few valid points"
-        )
+        why = "off the specimen, or too few valid points"
+        progress(1.0, remarked(f"nothing to read under {', '.join(nothing)}: {why}"))
     yield DatasetOutput(inputs.subject, {GAUGES: readings}, statistics)
 
 

@@ -77,6 +77,7 @@ from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.quick_look import QuickLook
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.statistic_names import (
     DOUBTS,
     GAUGE_QUANTITIES,
@@ -217,7 +218,7 @@ def run(inputs: Inputs, parameters: QuickLookParameters, progress: Progress) -> 
                 statistics["blur_px"] = blur
     look = replace(look, doubts=tuple(doubts))
     statistics |= {DOUBTS: float(len(doubts)), **_of_gauges(look)}
-    progress(1.0, "; ".join(doubts) or "nothing is doubted")
+    progress(1.0, remarked(*doubts, *_without_value(look)) or "nothing is doubted")
     yield DatasetOutput(inputs.subject, {QUICK_LOOK: look, **records}, statistics)
 
 
@@ -390,6 +391,14 @@ def _of_shape(surface: Surface) -> dict[str, float]:
     saturated = (reason & np.uint32(Reason.SATURATED)) != 0
     part = float(saturated.sum()) / max(float(lit.sum()), 1.0)
     return {**fractions(reason == Reason.VALID, lit), **losses(reason), SATURATED_FRACTION: part}
+
+
+def _without_value(look: QuickLook) -> Iterator[str]:
+    """Say which gauges have no value, and why."""
+    for name, why in zip(look.names, look.reason, strict=True):
+        if why != Reason.VALID:
+            told = ", ".join(str(one.name).lower().replace("_", " ") for one in Reason if one and one & why)
+            yield f"gauge {name} has no value: {told}"
 
 
 def _of_gauges(look: QuickLook) -> dict[str, float]:

@@ -25,7 +25,7 @@ def told_of_gaps(at_rest: Surface, later: Surface) -> str:
     if gap <= max(sigma, _GROWN * gap_before * sigma / sigma_before):
         return ""
     return (
-        f"; the rays miss each other by {gap:.2g} mm and did by {gap_before:.2g} mm at rest: a sensor has "
+        f"the rays miss each other by {gap:.2g} mm and did by {gap_before:.2g} mm at rest: a sensor has "
         "moved since, or its images are of another moment, and the displacement is off by more than its "
         "deviation says; see that the images belong together, or calibrate again"
     )

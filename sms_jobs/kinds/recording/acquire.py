@@ -52,6 +52,7 @@ from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.optical_instruments import ImageFormat
 from sms_jobs.records.recording import Recording
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
     DOUBTS,
@@ -284,7 +285,7 @@ def run(inputs: Inputs, parameters: AcquireParameters, progress: Progress) -> It
             statistics_of(recording)
             | (adaptation_statistics(measurement) if parameters.adaptive != "none" else {}),
         )
-    progress(1.0, "; ".join(doubts) or f"recorded {number_of(len(task.views), 'view')}")
+    progress(1.0, remarked(*doubts, beside=f"recorded {number_of(len(task.views), 'view')}"))
 
 
 def station_of(inputs: Inputs, setting: Setting | None) -> Station:

@@ -33,6 +33,7 @@ from sms_jobs.kinds.surface_ports import textured_by
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.field_names import IN_SPACE, MERGED_VALUES, TEXTURE
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.views import view_of
 
@@ -132,7 +133,8 @@ def run(inputs: Inputs, parameters: ExportParameters, progress: Progress) -> Ite
                 seen = source_for(exporter, field, texture=textures[camera])
                 yield _written(inputs, exporter, f"{name}-{camera}", seen)
     if empty:
-        progress(1.0, f"nothing to export of {' and '.join(empty)}, where no square of pixels has values")
+        where = "where no square of pixels has values"
+        progress(1.0, remarked(f"nothing to export of {' and '.join(empty)}, {where}"))
 
 
 def _written(inputs: Inputs, exporter: Exporter, stem: str, source: Any) -> DocumentOutput:

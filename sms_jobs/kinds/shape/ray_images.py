@@ -19,6 +19,7 @@ from sms_jobs.metrology.images.coarse_maps import sample_blocks
 from sms_jobs.records.calibration import CalibrationFactor
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.views import View
 
 _LINE_SIGMAS = 6.0
@@ -50,15 +51,18 @@ def stated_of_lines(factor: CalibrationFactor, surface: Surface) -> dict[str, fl
 
 def lines_summary(statistics: Mapping[str, float]) -> str:
     """Return in a sentence how far matches lie off the images of their rays, and what was to be expected."""
-    found = f"met the rays, whose images the matches miss by {statistics['epipolar_rms_px']:.2g} px (rms)"
+    missed = f"{statistics['epipolar_rms_px']:.2g} px (rms)"
+    found = f"met the rays, whose images the matches miss by {missed}"
     stated = statistics.get("epipolar_stated_px")
     if stated is None:
         return f"{found}; the calibration does not say how well it is known"
     noise = statistics.get("median_match_sigma_px", 0.0)
-    told = f"{found}; the calibration states {stated:.2g} px"
     if statistics["epipolar_rms_px"] > _LINE_SIGMAS * float(np.hypot(stated, noise)):
-        told += ", far less: the cameras may have moved since, or be swapped, or it is another rig's"
-    return told
+        return remarked(
+            f"the matches miss the images of their rays by {missed}, and the calibration states {stated:.2g} "
+            "px, far less: the cameras may have moved since, or be swapped, or it is another rig's"
+        )
+    return f"{found}; the calibration states {stated:.2g} px"
 
 
 def why_nothing(view: View, off_px: float, swapped: tuple[str, float] = ("", np.inf)) -> str:

@@ -69,6 +69,7 @@ from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.subject import Subject
 
 
@@ -133,7 +134,7 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, f"triangulated{_told_of_gaps(reason)}")
+    progress(1.0, remarked(_told_of_gaps(reason), beside="triangulated"))
     if found.returns is not None:
         records[RETURNS] = found.returns
         statistics |= _pair_statistics(reason, found.returns)
@@ -151,7 +152,7 @@ def _told_of_gaps(reason: Reasons) -> str:
     if part <= _MOST_APART:
         return ""
     return (
-        f"; {part:.0%} of the rays miss each other: a sensor has moved since it was calibrated, or it is the "
+        f"{part:.0%} of the rays miss each other: a sensor has moved since it was calibrated, or it is the "
         "calibration of another rig; what is left may be off as much, with too much noise to show it: "
         "calibrate again, or state by calibration_sigma_px how well the calibration is known"
     )

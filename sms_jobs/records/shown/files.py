@@ -36,7 +36,7 @@ class FileView:
         """Return what it is about; raise `InvalidInput` where that is no part of a campaign."""
         if self.about is None:
             raise InvalidInput(
-                f"file {self.id} is a {self.source} and of no campaign; choose a measurement or a result"
+                f"file {self.id} ({self.source}) is of no campaign; choose a measurement or a result"
             )
         return self.about
 

@@ -63,7 +63,7 @@ class QuickLookView:
     gauges_lost
         How many have none.
     doubts
-        What is doubted, or why it failed; empty where nothing is.
+        What is doubted, which gauges have no value and why, or why it failed; empty where nothing is.
     """
 
     campaign: str

@@ -18,6 +18,7 @@ from sms_jobs.bootstrap import Services
 from sms_jobs.errors import WaitTimedOut
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.estimates import Estimate
+from sms_jobs.records.shown.remarks import Remarks
 from sms_jobs.web.identity import Acting
 from sms_jobs.web.request_bodies import Campaign, Jobs, Limit, Name, Priority, RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer, returned
@@ -108,12 +109,16 @@ class SubmittedOfCampaigns:
 
 @dataclass(frozen=True)
 class WaitAnswer:
-    """How many jobs are in each state that are waited for; once all ended, why the last failed."""
+    """How many jobs are in each state that are waited for; once all ended, why the last failed.
+
+    With what those that succeeded remark about their data, by kind.
+    """
 
     ended: bool
     jobs: dict[str, int]
     active: int
     failure: str
+    remarks: tuple[Remarks, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -134,9 +139,11 @@ def list_jobs(
     campaign: Text | None = None,
     kind: Text | None = None,
     limit: Limit = 50,
+    after: Annotated[Text | None, Query(description="Id of the last job that is known already.")] = None,
 ) -> Any:
     """Return jobs, the latest first."""
-    return answer(jobs.list_jobs(services, campaign=campaign, states=states, kind=kind, limit=limit))
+    found = jobs.list_jobs(services, campaign=campaign, states=states, kind=kind, limit=limit, after=after)
+    return answer(found)
 
 
 @ROUTES.offer("POST", "/jobs", jobs.submit, answers=SubmittedJobs)
@@ -189,7 +196,7 @@ def _look(services: Services, some: Any) -> WaitAnswer:
         waited = waiting.wait_for(services, some, 0.0, looked.append)
     except WaitTimedOut:
         return WaitAnswer(False, looked[-1].counted, looked[-1].active, "")
-    return WaitAnswer(True, waited.counted, 0, waited.failure)
+    return WaitAnswer(True, waited.counted, 0, waited.failure, waited.remarks)
 
 
 @ROUTES.offer("POST", "/jobs/cancel", jobs.cancel, answers=dict[str, int])

@@ -4,17 +4,45 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import Body
+from pydantic import Field
 
 from sms_jobs.app.work import queues
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.request_bodies import Campaign, Jobs, RequestBody, Text, Texts
 from sms_jobs.web.routes import Routes, answer
 
 ROUTES = Routes("queues")
 
-Names = Annotated[list[str], Body(description="Of queues; empty for all.")]
-Jobs = Annotated[list[str], Body(description="Ids of jobs, or their beginnings.")]
-Campaign = Annotated[str | None, Body(description="Instead of jobs: all of a campaign that are active.")]
+
+class SomeQueues(RequestBody):
+    """Queues by their names."""
+
+    names: Annotated[Texts, Field(description="Empty for all.")]
+
+
+class Pause(SomeQueues):
+    """Queues to pause, and why."""
+
+    reason: Annotated[Text, Field(description="Who asks why is told it or, if it is empty, who did it.")] = ""
+
+
+class Ordered(RequestBody):
+    """Jobs that are to come earlier or later: by their ids, or those of a campaign that are active."""
+
+    jobs: Jobs
+    campaign: Campaign = None
+
+
+class Move(Ordered):
+    """Jobs, and where they go."""
+
+    to: Literal["front", "back"]
+
+
+class Ranked(Ordered):
+    """Jobs, and their priority."""
+
+    value: Annotated[int, Field(description="Higher runs earlier.")]
 
 
 @ROUTES.offer("GET", "/queues", queues.list_queues)
@@ -24,26 +52,24 @@ def list_queues(services: Acting) -> Any:
 
 
 @ROUTES.offer("POST", "/queues/pause", queues.pause)
-def pause(services: Acting, names: Names, reason: Annotated[str, Body()] = "paused by an operator") -> Any:
+def pause(services: Acting, body: Pause) -> Any:
     """Pause queues."""
-    return answer({"paused": queues.pause(services, names, reason)})
+    return answer({"paused": queues.pause(services, body.names, body.reason)})
 
 
 @ROUTES.offer("POST", "/queues/resume", queues.resume)
-def resume(services: Acting, names: Annotated[list[str], Body(embed=True)]) -> Any:
+def resume(services: Acting, body: SomeQueues) -> Any:
     """Let queues go on."""
-    return answer({"resumed": queues.resume(services, names)})
+    return answer({"resumed": queues.resume(services, body.names)})
 
 
 @ROUTES.offer("POST", "/queues/move", queues.move)
-def move(
-    services: Acting, to: Annotated[Literal["front", "back"], Body()], jobs: Jobs, campaign: Campaign = None
-) -> Any:
+def move(services: Acting, body: Move) -> Any:
     """Bring jobs before or behind all others."""
-    return answer({"moved": queues.move(services, jobs, campaign, to)})
+    return answer({"moved": queues.move(services, body.jobs, body.campaign, body.to)})
 
 
 @ROUTES.offer("POST", "/queues/priority", queues.set_priority)
-def priority(services: Acting, value: Annotated[int, Body()], jobs: Jobs, campaign: Campaign = None) -> Any:
+def priority(services: Acting, body: Ranked) -> Any:
     """Give jobs another priority."""
-    return answer({"changed": queues.set_priority(services, jobs, campaign, value)})
+    return answer({"changed": queues.set_priority(services, body.jobs, body.campaign, body.value)})

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from math import radians
 from typing import Annotated, Any
 
-from fastapi import Body
 from fastapi.responses import PlainTextResponse
 from pydantic import Field
 
 from sms_jobs.app.measuring import rigs
 from sms_jobs.records.optical_instruments import RigFile
 from sms_jobs.web.identity import Acting
-from sms_jobs.web.request_bodies import LongText, Name, RequestBody
+from sms_jobs.web.request_bodies import LongText, Name, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 from sms_jobs.web.sent_texts import text_as_file
 
@@ -32,6 +31,12 @@ class Pose(RequestBody):
 
     pan_deg: Annotated[float, Field(ge=-360, le=360)]
     tilt_deg: Annotated[float, Field(ge=-360, le=360)]
+
+
+class Held(RequestBody):
+    """A device that somebody holds, or held."""
+
+    device: Text
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,6 @@ def held_devices(services: Acting) -> Any:
 
 
 @ROUTES.offer("POST", "/devices/release", rigs.release, answers=returned(rigs.release))
-def release(services: Acting, device: Annotated[str, Body(embed=True, max_length=1000)]) -> Any:
+def release(services: Acting, body: Held) -> Any:
     """Forget a lock whose holder is gone."""
-    return answer(rigs.release(services, device))
+    return answer(rigs.release(services, body.device))

@@ -35,7 +35,7 @@ def field(
         maps=[_about(one, f"m{place}") for place, one in enumerate((shown, beside)) if one is not None],
         steps=_steps(shown),
         views=[one for one in shown.similar if one.state == shown.state],
-        formats=exporting.formats(),
+        formats=exporting.formats_of(page.services, str(file)),
     )
 
 

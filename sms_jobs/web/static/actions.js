@@ -55,6 +55,7 @@ async function act(form, submitter) {
   const words = submitter?.dataset.confirm ?? form.dataset.confirm;
   const problem = beside(form, "problem", "alert");
   problem.textContent = "";
+  form.closest("[data-live]")?.querySelectorAll(":scope > .refusal").forEach((one) => one.remove());
   if (words && !(await confirmed(words))) return;
   if (submitter) submitter.disabled = true;
   try {

@@ -1,9 +1,19 @@
 // Requests to this site's own interface, and what its refusals say.
 export const API = "/api/v1";
 
-/** The log-in page, with the way back to this one. */
+const TYPED = "form[data-action] :is(textarea, input:not([type=hidden], [type=checkbox], [type=radio], [type=password]))";
+
+/** The log-in page, with the way back to this one; in another window where something has been typed here. */
 export function logInAgain() {
-  location.assign(`/login?next=${encodeURIComponent(location.pathname + location.search)}`);
+  const door = `/login?next=${encodeURIComponent(location.pathname + location.search)}`;
+  if (![...document.querySelectorAll(TYPED)].some((one) => one.value !== one.defaultValue)) {
+    location.assign(door);
+    return;
+  }
+  const line = document.getElementById("connection"), way = document.createElement("a");
+  Object.assign(way, { href: door, target: "_blank", textContent: "Log in in another window" });
+  line.replaceChildren("Your session has ended. ", way, ", then go on here: what is typed stays.");
+  line.hidden = false;
 }
 
 /** Ask for something; returns the answer as an object, or throws an Error with the sentence of the refusal. */

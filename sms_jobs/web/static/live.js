@@ -44,15 +44,25 @@ export function follow(document) {
     const focus = old.contains(document.activeElement) ? document.activeElement.id : "";
     const open = [...old.querySelectorAll("details[open][id]")].map((one) => one.id);
     const scrolled = [...old.querySelectorAll("pre.log")].map((one) => one.scrollTop + one.clientHeight >= one.scrollHeight - 8);
+    const refusals = [...old.querySelectorAll("form[data-action] > .problem:not(:empty), :scope > .refusal")].map((one) => [one, one.parentElement.querySelector("button[id]")?.id]);
     old.replaceChildren(...made.childNodes);
+    for (const [refusal, button] of refusals) stay(refusal, document.getElementById(button)?.closest("form"), old);
     for (const id of open) document.getElementById(id)?.setAttribute("open", "");
     old.querySelectorAll("pre.log").forEach((one, place) => { if (scrolled[place] !== false) one.scrollTop = one.scrollHeight; });
     if (focus) document.getElementById(focus)?.focus();
   }
 
-  // What somebody is typing into, or is asked about, stays.
+  // A refusal stays beside its button; where that is gone, it says at the head of the region why nothing was done.
+  function stay(refusal, form, region) {
+    if (form) { form.append(refusal); return; }
+    refusal.classList.add("refusal");
+    region.prepend(refusal);
+  }
+
+  // What somebody is typing into, or is asked about, stays, and what was typed and refused.
   const inUse = (region) => document.querySelector("dialog[open]") !== null
-    || region.matches(":has(input:focus, select:focus, textarea:focus, button:disabled, .problem:not(:empty))");
+    || region.matches(":has(input:focus, select:focus, textarea:focus, button:disabled)")
+    || [...region.querySelectorAll("form > .problem:not(:empty)")].some((one) => one.parentElement.matches(":has(input:not([type=hidden]), select, textarea)"));
 
   function soon() {
     // What comes meanwhile is in the same answer; the first of many is not kept waiting by those after it.

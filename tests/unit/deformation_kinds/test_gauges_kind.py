@@ -61,7 +61,7 @@ def test_a_gauge_that_reads_nothing_is_named(plate: Any) -> None:
     )
     said: list[str] = []
     list(gauges.KIND.run(inputs, chosen, lambda fraction, words: said.append(words)))
-    assert said[-1] == "nothing to read under away: off the specimen, or too few valid points"
+    assert said[-1] == "note: nothing to read under away: off the specimen, or too few valid points"
 
 
 def test_what_a_camera_alone_reads_in_pixels_is_no_gauge_of_a_surface(plate: Any) -> None:

@@ -187,13 +187,18 @@ def test_a_calibration_of_another_scale_is_told(views: tuple[Shelf, Shelf], scal
         **left.records,
         ("reconstruct", at_rest): {**left.records["reconstruct", at_rest], "surface": grown},
     }
+    # The next one is right, and is aligned after it.
+    for source in ("measurement", "reconstruct"):
+        records[source, Subject("after", "S00", VIEW)] = left.records[source, at_rest]
     subject, said = Subject("left"), []
+    chosen = align.AlignParameters(views=("right", "after"), subset_radius_px=RADIUS)
     datasets = {
         need.role: InMemory(need.subject, records[need.source, need.subject])
-        for need in align.KIND.checked_needs(left.campaign, subject, CHOSEN)
+        for need in align.KIND.checked_needs(left.campaign, subject, chosen)
     }
     inputs = Inputs(subject, align.KIND.context(left.campaign, subject), datasets)
-    list(align.KIND.run(inputs, CHOSEN, lambda fraction, message="": said.append(message)))
+    list(align.KIND.run(inputs, chosen, lambda fraction, message="": said.append(message)))
+    assert ("note: the points of right miss those here by" in said[-1]) == (scale > 1.0)
     assert ("times what is stated: lengths there are 1.0100 of those here" in said[-1]) == (scale > 1.0)
 
 

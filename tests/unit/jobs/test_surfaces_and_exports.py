@@ -15,6 +15,7 @@ from support.archives import entered
 from support.homes import WHEN, initialised, make_home, stored
 
 from sms_jobs import bootstrap
+from sms_jobs.app.fields.exporting import formats_of
 from sms_jobs.app.fields.field_gauges import gauge_at
 from sms_jobs.app.fields.field_sources import fields_of
 from sms_jobs.bootstrap import Services
@@ -27,7 +28,7 @@ from sms_jobs.jobs.archiving.surfaces import register_surface
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.kinds.kind import REFERENCE_SURFACES
-from sms_jobs.records.fields import Mesh, Surface
+from sms_jobs.records.fields import Mesh, Region, Regions, Surface
 from sms_jobs.records.surfaces import ReferenceSurface
 from sms_jobs.virtual_rig.campaigns import small_plate
 
@@ -285,6 +286,25 @@ def test_formats_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "tecplot-block" in capsys.readouterr().out
 
 
+def test_the_formats_that_are_offered_of_a_file_can_be_written(
+    services: Services, home: Path, here: Path
+) -> None:
+    regions = Regions((Region(1, 9, (1.0, 1.0)),), np.ones((3, 3), np.int32))
+    for kind, records, lacks in (
+        ("reconstruct", {"surface": cloud()}, set()),
+        ("combine", {"mesh": mesh()}, {"e57", "ptx"}),
+        ("correlate", {"regions": regions}, set(all_exporters()) - {"csv", "npz", "matlab"}),
+    ):
+        number = str(stored(services, kind, "plate/S01/C1P1", records))
+        offered = {one.name for one in formats_of(services, number)}
+        assert offered == {*all_exporters(), "hdf5"} - lacks
+        for form in offered:
+            export(home, number, form=form, out=here, force=True)
+        for form in lacks:
+            with pytest.raises(InvalidInput):
+                export(home, number, form=form, out=here, force=True)
+
+
 def test_a_gauge_on_a_part_that_a_file_lacks_is_refused_with_those_it_has(services: Services) -> None:
     number = str(stored(services, "correlate", "plate/S01/C1P1", {"surface": cloud()}))
     for part, has in (("C9", "C1"), ("c1", "C1")):
@@ -295,3 +315,5 @@ def test_a_gauge_on_a_part_that_a_file_lacks_is_refused_with_those_it_has(servic
         gauge_at(services, other, "G1 x=4 y=3 length=4", part="C9")
     with pytest.raises(NotFound, match=f"^file {other} has no part 'C9'; leave the part out$"):
         fields_of(services, other, "C9")
+    with pytest.raises(InvalidInput, match=r"^file 1 \(campaign\) has no field over an image; choose"):
+        fields_of(services, "1")

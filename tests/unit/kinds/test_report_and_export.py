@@ -251,7 +251,7 @@ def test_export_of_what_has_no_value_writes_nothing_and_says_so(run: Run) -> Non
     heard: list[str] = []
     given = {"instead": {"mesh": nothing}, "heard": heard}
     assert run(export.KIND, campaign(), Subject("plate", "S01"), **given) == []
-    assert heard[-1] == "nothing to export of plate-S01, where no square of pixels has values"
+    assert heard[-1] == "note: nothing to export of plate-S01, where no square of pixels has values"
 
 
 def test_export_writes_the_fields_that_are_asked_for(run: Run) -> None:

@@ -317,6 +317,7 @@ def test_textures_are_looked_for_where_the_calibration_knows_their_lines_to_be()
         told[sigma] = said[-1]
     assert "the calibration states 0.5 px" in told[0.5]
     assert "moved" not in told[0.5]
+    assert told[0.02].startswith("note: the matches miss the images of their rays by 1.2 px (rms)")
     assert "states 0.02 px, far less: the cameras may have moved since, or be swapped" in told[0.02]
     surface_of(subject, images, exact, progress=heard)
     assert said[-1].endswith("the calibration does not say how well it is known")
