@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration_factors import known_view
-from sms_jobs.metrology.arrays import Floats, Mask
+from sms_jobs.metrology.arrays import Floats, Ints32, Mask
 from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
 from sms_jobs.metrology.deformation.matching.epipolar_search import Width
@@ -108,7 +107,7 @@ def refuse_far_from_rays(
     return 1.4826 * middle
 
 
-def refuse_parted_rays(view: View, surface: Surface, freedom: NDArray[np.int32]) -> None:
+def refuse_parted_rays(view: View, surface: Surface, freedom: Ints32) -> None:
     """Raise `MeasurementFailed` where rays of three cameras or more miss each other at most of their points.
 
     `freedom` is that of the pixels, (n,). A camera that turns along the images of its rays leaves them no gap
