@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,9 @@ import h5py
 
 from sms_jobs.archive import hdf5
 from sms_jobs.archive.damage import readable
+from sms_jobs.archive.place import says_full
 from sms_jobs.archive.sealing import safe_file, sync
+from sms_jobs.errors import StorageFull
 
 GZIP_LEVEL = 4
 _FIRST_OF_PLUGINS = 256
@@ -26,9 +30,12 @@ def repack(source: Path, target: Path, where: str) -> None:
     ------
     ArchiveCorrupt
         When the source cannot be read.
+    StorageFull
+        When the target's disk has no room for it.
     """
     with (
         readable(where),
+        _room_for(where, target.parent),
         h5py.File(source, "r") as old,
         safe_file(target) as raw,
         h5py.File(raw, "w", libver=hdf5.LIBRARY_VERSIONS) as new,
@@ -36,6 +43,19 @@ def repack(source: Path, target: Path, where: str) -> None:
         _copy_attributes(old, new)
         _copy_group(old, new)
     sync(target)
+
+
+@contextmanager
+def _room_for(where: str, folder: Path) -> Iterator[None]:
+    """Say of a full disk that it is full, or it would be taken for damage of what is copied."""
+    try:
+        yield
+    except Exception as error:
+        if says_full(error):
+            raise StorageFull(
+                f"the disk of {folder} has no room for {where}; free some, or write elsewhere"
+            ) from error
+        raise
 
 
 def needs_plugin(dataset: Any) -> bool:

@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sms_jobs.app.holdings.reading import StoredRecord
 from sms_jobs.app.specimens.frame_choice import Choice, Place
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+Frame = Literal["world", "specimen"]
 _OF_EVERY_FILE = ("file", "kind", "subject", "created")
 
 
@@ -86,6 +87,25 @@ def _frames() -> Any:
     return pandas
 
 
+def _check_question(query: str, columns: Sequence[str] | None, limit: int) -> None:
+    """Raise `InvalidInput` where a notebook asks what no command line could."""
+    if not isinstance(query, str):
+        raise InvalidInput(f"a query is a text like 'strain where load_N > 0', not {query!r}")
+    _check_list("columns", columns)
+    if limit < 1:
+        raise InvalidInput(f"`limit` is 1 or more, not {limit}")
+
+
+def _check_list(name: str, several: Sequence[str] | None) -> None:
+    if isinstance(several, str):
+        raise InvalidInput(f"`{name}` are a list of names: give ['{several}'], not '{several}'")
+
+
+def _check_job(job: object, kinds: tuple[type, ...], wanted: str) -> None:
+    if not isinstance(job, kinds) or not job:
+        raise InvalidInput(f"a job is {wanted}, not {job!r}")
+
+
 class Lab:
     """A home that is open, here or at a server; `close` it, or use it in a `with` statement.
 
@@ -96,11 +116,17 @@ class Lab:
     """
 
     def __init__(self, source: Source) -> None:
-        self._source = source
+        self._open = source
         self.close = weakref.finalize(self, source.close)
 
+    @property
+    def _source(self) -> Source:
+        if not self.close.alive:
+            raise InvalidInput(f"the {self._open.name} was closed in this program: open it again")
+        return self._open
+
     def __repr__(self) -> str:
-        return f"<sms_jobs {self._source.name}>"
+        return f"<sms_jobs {self._open.name}>"
 
     def __enter__(self) -> Lab:
         return self
@@ -129,6 +155,7 @@ class Lab:
         NotFound
             It names a campaign or calibration that is not there.
         """
+        _check_question(query, columns, limit)
         pages = list(self._source.find(query, columns, limit))
         return FoundFiles(pages[0].columns, tuple(found for page in pages for found in page.rows))
 
@@ -160,6 +187,7 @@ class Lab:
             pandas is not installed.
         """
         frames = _frames()
+        _check_question(query, columns, limit)
         pages = list(self._source.states(query, columns, limit))
         found = [one for page in pages for one in page.rows]
         titles, rows = table_of(pages[0].columns, pages[0].by_view, found)
@@ -172,7 +200,7 @@ class Lab:
         what_of: str | int,
         what: str | None = None,
         *,
-        frame: Literal["world", "specimen"] = "world",
+        frame: Frame = "world",
     ) -> xarray.Dataset:
         """Read the newest record about a subject, or a record of a file, with units, sigma and provenance.
 
@@ -203,6 +231,8 @@ class Lab:
         ConfigurationError
             xarray is not installed.
         """
+        if frame not in get_args(Frame):
+            raise InvalidInput(f"`frame` is 'world' or 'specimen', not {frame!r}")
         if isinstance(what_of, int) or what is None:
             stored = self._source.of_file(str(what_of), what)
         else:
@@ -283,8 +313,8 @@ class Lab:
         campaign: str,
         /,
         *,
-        states: Sequence[str] = (),
-        views: Sequence[str] = (),
+        states: Sequence[str] | None = None,
+        views: Sequence[str] | None = None,
         run: str | None = None,
         dry_run: bool = False,
         **parameters: Any,
@@ -296,7 +326,7 @@ class Lab:
         Parameters
         ----------
         states, views
-            Only these; all if they are empty.
+            Only these; all if it is None.
         run
             Name of the run that the results belong to, if any.
         dry_run
@@ -317,9 +347,10 @@ class Lab:
             if not isinstance(one, str):
                 raise InvalidInput(f"the {name} is one name, not {one!r}: submit one after the other")
         for name, several in {"states": states, "views": views}.items():
-            if isinstance(several, str):
-                raise InvalidInput(f"`{name}` are a list of names: give ['{several}'], not '{several}'")
-        work = Work(campaign, (kind,), parameters, tuple(states), tuple(views), run=run)
+            _check_list(name, several)
+            if several is not None and not len(several):
+                raise InvalidInput(f"`{name}` is empty, and nothing to submit; leave it out for all")
+        work = Work(campaign, (kind,), parameters, tuple(states or ()), tuple(views or ()), run=run)
         return self._source.submit(work, dry_run)
 
     def compare_runs(self, before: str, after: str) -> pandas.DataFrame:
@@ -362,6 +393,7 @@ class Lab:
         NotFound
             There is no such job.
         """
+        _check_job(job, (Submitted, str), "what `submit` has returned, or the beginning of a job's id")
         waited = self._source.wait(job, timeout_s)
         waited.require_success()
         return waited
@@ -371,4 +403,5 @@ class Lab:
 
         Raises `NotFound` where there is none.
         """
+        _check_job(job, (str,), "the beginning of a job's id")
         return "\n".join(self._source.explain(job).sentences)

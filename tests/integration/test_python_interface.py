@@ -6,7 +6,7 @@ import json
 import re
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -184,6 +184,33 @@ def test_records_are_read_by_kind_by_name_and_by_file(lab: Lab) -> None:
 def test_what_is_not_there_is_said(lab: Lab, subject: str | int, what: str | None) -> None:
     with pytest.raises(NotFound, match=r"there is no"):
         lab.read(subject, what)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (lambda lab: lab.read(ADDRESS, "displacement", frame="World"), "'world' or 'specimen', not 'World'"),
+        (lambda lab: lab.find("strain", limit=-1), "`limit` is 1 or more, not -1"),
+        (lambda lab: lab.states(limit=0), "`limit` is 1 or more, not 0"),
+        (lambda lab: lab.find("strain", columns="state"), r"give \['state'\], not 'state'"),
+        (lambda lab: lab.find(5), "a query is a text .* not 5"),
+        (lambda lab: lab.submit("strain", CAMPAIGN, states=[], dry_run=True), "`states` is empty"),
+        (lambda lab: lab.submit("strain", CAMPAIGN, views=(), dry_run=True), "`views` is empty"),
+        (lambda lab: lab.wait([]), r"a job is what `submit` has returned, .* not \[\]"),
+        (lambda lab: lab.wait(None), "a job is what `submit` has returned, .* not None"),
+        (lambda lab: lab.explain(5), "a job is the beginning of a job's id, not 5"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(lab: Lab, asked: Callable[[Lab], object], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        asked(lab)
+
+
+def test_what_was_closed_answers_nothing(folder: Path) -> None:
+    lab = sms_jobs.open(folder / "sms-demo")
+    lab.close()
+    with pytest.raises(InvalidInput, match=r"the home .*sms-demo was closed .* open it again"):
+        lab.find("strain")
 
 
 def test_a_job_that_does_not_succeed_is_an_error(lab: Lab, folder: Path) -> None:

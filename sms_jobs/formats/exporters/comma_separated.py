@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import Exporter, labels_of, placed, write_rows
 from sms_jobs.formats.exporters.formulas import with_formula
+from sms_jobs.formats.exporters.record_arrays import texts_of
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import quantities_of
 
@@ -18,10 +19,16 @@ from sms_jobs.records.quantity import quantities_of
 def _save(
     path: Path, labels: list[str], columns: list[NDArray[Any]], places: NDArray[np.intp] | None = None
 ) -> None:
-    """Write columns, or some of their rows, under quoted labels; what is missing is nan."""
+    """Write columns, or some of their rows, under quoted labels; texts are quoted, what is missing is nan."""
+    form = ",".join("%s" if column.dtype.kind == "U" else "%.9g" for column in columns)
+    written = [_quoted(column.tolist()) if column.dtype.kind == "U" else column for column in columns]
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join('"' + label.replace('"', '""') + '"' for label in labels) + "\n")
-        write_rows(file, columns, ",".join(["%.9g"] * len(columns)), places)
+        file.write(",".join(_quoted(labels)) + "\n")
+        write_rows(file, written, form, places)
+
+
+def _quoted(texts: list[str]) -> NDArray[np.str_]:
+    return np.array(['"' + text.replace('"', '""') + '"' for text in texts], np.str_)
 
 
 def write(record: Any, path: Path) -> None:
@@ -73,7 +80,7 @@ def write_pixels(record: Any, path: Path) -> None:
 
 
 def write_points(record: Any, path: Path) -> None:
-    """Write every field of a record that has one value or vector for each of its points, one point a line.
+    """Write what a record has for each of its points, one point a line: names first, then values, vectors.
 
     Raises
     ------
@@ -88,7 +95,8 @@ def write_points(record: Any, path: Path) -> None:
     points = next((quantity.axes for quantity, _ in fields.values() if len(quantity.axes) == 1), None)
     if points is None:
         raise InvalidInput(f"a {type(record).__name__} has no values over an image or at points")
-    labels, columns = [], []
+    texts = texts_of(record)
+    labels, columns = list(texts), list[NDArray[Any]](texts.values())
     for name, (quantity, values) in fields.items():
         if quantity.axes == points:
             parts = {name: values}

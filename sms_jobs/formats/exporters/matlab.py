@@ -19,9 +19,11 @@ _MOST_BYTES = 2**31 - 1
 
 
 def _as_in_matlab(record: Any, one: NamedArray) -> NDArray[Any]:
-    """Return an array with images first and components last; indices of vertices counted from 1."""
+    """Return an array with images first and components last; vertices counted from 1, texts in cells."""
     if isinstance(record, Mesh):
         return one.values + np.int32(1) if one.name == "faces" else one.values
+    if one.values.dtype.kind == "U":  # a cell array: a matrix of characters would pad them
+        return one.values.astype(object)
     # (3, rows, columns) becomes (rows, columns, 3)
     return np.moveaxis(one.values, (-2, -1), (0, 1)) if one.values.ndim > 2 else one.values
 

@@ -13,8 +13,17 @@ from numpy.typing import NDArray
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import placed
 from sms_jobs.records.fields import Mesh
+from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.quantity import quantities_of
+from sms_jobs.records.quick_look import QuickLook
+from sms_jobs.records.system_test import SystemTest
 
+_TEXTS: dict[type, dict[str, str]] = {
+    GaugeReadings: {"gauge": "names"},
+    QuickLook: {"gauge": "names"},
+    SystemTest: {"quantity": "quantities", "state": "states", "view": "views", "missing": "missing"},
+}
+"""What tells the rows of a record apart: the name of a column, and the field with its texts."""
 _LONGEST = 63  # of a name in MATLAB
 
 
@@ -26,6 +35,12 @@ class NamedArray:
     unit: str
     meaning: str
     values: NDArray[Any]
+
+
+def texts_of(record: Any) -> dict[str, NDArray[np.str_]]:
+    """Return the texts that a record has for each of its rows, by what they are; none for most records."""
+    named = _TEXTS.get(type(record), {})
+    return {called: np.array(getattr(record, field), np.str_) for called, field in named.items()}
 
 
 def _identifier(name: str, unit: str, taken: set[str]) -> str:
@@ -57,6 +72,8 @@ def arrays_of(record: Any) -> Iterator[NamedArray]:
             yield NamedArray(_identifier(name, of_value, taken), of_value, name, values)
         return
     found = False
+    for called, texts in texts_of(record).items():
+        yield NamedArray(_identifier(called, "1", taken), "1", f"{called} of each row", texts)
     for name, quantity in quantities_of(record).items():
         values = getattr(record, name)
         if isinstance(values, np.ndarray):

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import median_part, merged_sigma, states_of
+from sms_jobs.kinds.deformation.view_gaps import told_of_views
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -111,16 +112,17 @@ def _views_by_camera(campaign: Campaign, subject: Subject) -> dict[str, tuple[st
 
 def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
     """Merge the views of every camera, then join the surfaces of all that measure in one frame."""
-    seen = []
+    seen, told = [], ""
     for number, (camera, views) in enumerate(inputs.context.items()):
         seen.append(_of_camera(inputs, camera, views, parameters))
+        told += told_of_views(views, [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)])
         progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(views)}")
     records: dict[Product[Any], object] = {MERGED.of(one.field.camera): one.field for one in seen}
     in_world = [one for one in seen if one.field.has_depth]
     meshes = {MESH.of(s.field.camera): _joined([s.mesh]) for s in seen if s not in in_world}
     if in_world:
         meshes[MESH] = _joined([one.mesh for one in in_world])
-    progress(1.0, f"joined {number_of(len(in_world), 'camera')}")
+    progress(1.0, f"joined {number_of(len(in_world), 'camera')}{told}")
     yield DatasetOutput(inputs.subject, {**records, **meshes}, _statistics(seen, list(meshes.values())))
 
 

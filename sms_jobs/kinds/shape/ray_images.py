@@ -8,7 +8,7 @@ import numpy as np
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration_factors import known_view
-from sms_jobs.metrology.arrays import Floats, Mask
+from sms_jobs.metrology.arrays import Floats, Ints32, Mask
 from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
 from sms_jobs.metrology.deformation.matching.epipolar_search import Width
@@ -28,6 +28,8 @@ _LINE_PX = 3.0
 """The same where it states none."""
 _SWAPPED = 5.0
 """How much better cameras the other way round have to explain the matches to be believed."""
+_MOST_PARTED = 0.5
+"""Part of the points of three cameras whose rays may miss each other: of usual ones hardly any do."""
 
 
 def line_width(factor: CalibrationFactor | None, partner: int, given_px: float | None) -> Width:
@@ -107,6 +109,23 @@ def refuse_far_from_rays(
     if middle > most_px:
         raise MeasurementFailed(f"{why_nothing(view, middle)}; maximum_epipolar_px allows {most_px:g}")
     return 1.4826 * middle
+
+
+def refuse_parted_rays(view: View, surface: Surface, freedom: Ints32) -> None:
+    """Raise `MeasurementFailed` where rays of three cameras or more miss each other at most of their points.
+
+    `freedom` is that of the pixels, (n,). A camera that turns along the images of its rays leaves them no gap
+    with the reference alone: what only these two see would be off, and nothing would show it.
+    """
+    several = (freedom > 1).reshape(surface.reason.shape)
+    parted = surface.reason[several] & np.uint32(Reason.LARGE_RAY_GAP) > 0
+    if parted.size and parted.mean() > _MOST_PARTED:
+        raise MeasurementFailed(
+            f"rays of {' and '.join(view.sensors)} miss each other at {parted.mean():.0%} of the points that "
+            f"three cameras or more see, though those of {view.camera} meet each partner's: a camera has "
+            "turned, or its image is of another moment; calibrate again, or import the images with the views "
+            "of two cameras each, to see which"
+        )
 
 
 def _why_none_meet(view: View, cameras: list[Camera], swapped_px: float) -> str:

@@ -63,6 +63,7 @@ from sms_jobs.kinds.shape.ray_images import (
     line_width,
     lines_summary,
     refuse_far_from_rays,
+    refuse_parted_rays,
     stated_of_lines,
     why_nothing,
 )
@@ -144,6 +145,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         parameters.spacing_px,
     )
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar, resolution)
+    refuse_parted_rays(inputs.view, surface, field.freedom)
     surface = with_noise(surface, field, spread, parameters.shape_order)
     surface = held_against_the_images(surface, spread)
     kept = {

@@ -34,6 +34,8 @@ from support.sealing import (
 )
 
 from sms_jobs.archive import Archive, Sealed
+from sms_jobs.archive.repacking import repack
+from sms_jobs.archive.sealing import SafeFile
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, NotFound, OtherFormat, StorageFull
 from sms_jobs.records.fields import ImageMatches, Surface
 from sms_jobs.records.measurement import ArrayStack, Measurement
@@ -121,6 +123,18 @@ def test_a_full_disk_leaves_nothing_behind(archive: Archive, rng: np.random.Gene
     with pytest.raises(StorageFull, match="no room"):
         archive.seal_dataset({"measurement": broken}, provenance())
     assert files_below(archive) == []
+
+
+def test_a_full_disk_is_no_damage_of_what_is_copied(
+    archive: Archive, sealed: Sealed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(file: SafeFile, data: Any) -> int:
+        file.error = OSError(errno.ENOSPC, "No space left on device")
+        return len(data)
+
+    monkeypatch.setattr(SafeFile, "write", write)
+    with pytest.raises(StorageFull, match=f"the disk of {tmp_path} has no room for {sealed.path}; free"):
+        repack(archive.store.path(sealed.path), tmp_path / "plain.h5", sealed.path)
 
 
 WRITE_AND_STOP = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import struct
 import tracemalloc
@@ -24,6 +25,8 @@ from sms_jobs.formats.exporters.exporter import PointGrid
 from sms_jobs.formats.exporters.sources import mesh_of, source_for, value_fields
 from sms_jobs.records.cracks import CrackOpenings
 from sms_jobs.records.fields import DisplacementField, Mesh, Region, Surface
+from sms_jobs.records.gauges import GaugeReadings
+from sms_jobs.records.system_test import SystemTest
 
 ROWS, COLUMNS = 9, 13
 # Nine digits of positions up to 300 mm: half a unit of the ninth is 5e-7 mm.
@@ -333,6 +336,52 @@ def test_points_of_a_record_are_lines_of_numbers(tmp_path: Path) -> None:
     assert [float(value) for value in lines[2].split(",")] == pytest.approx(
         [1, 1, 2, 2, 12, -2, -12, 2, 0.2, 0.5, 0.4, 0.5]
     )
+
+
+def readings(*names: str) -> GaugeReadings:
+    count = len(names)
+    strain, place = 1e-3 * np.arange(1.0, count + 1), np.zeros((count, 3))
+    return GaugeReadings("small", names, strain, np.ones(count, np.float32), place, np.ones(count, np.int32))
+
+
+def test_rows_of_gauges_have_their_names(tmp_path: Path) -> None:
+    record = readings("G1", 'rib "a", left', "Steg Süd")
+    comma_separated.write(record, tmp_path / "g.csv")
+    with (tmp_path / "g.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["gauge"], float(row["strain [1]"])) for row in rows] == [
+        ("G1", 1e-3),
+        ('rib "a", left', 2e-3),
+        ("Steg Süd", 3e-3),
+    ]
+    exporter_named("npz").write(record, tmp_path / "g.npz")
+    with np.load(tmp_path / "g.npz") as arrays:
+        assert arrays["gauge"].tolist() == list(record.names)
+    exporter_named("matlab").write(record, tmp_path / "g.mat")
+    assert [str(cell[0]) for cell in loadmat(tmp_path / "g.mat")["gauge"][:, 0]] == list(record.names)
+    comma_separated.write(readings(), tmp_path / "none.csv")
+    assert len((tmp_path / "none.csv").read_text().splitlines()) == 1
+
+
+def test_rows_of_a_system_test_say_what_was_tested(tmp_path: Path) -> None:
+    one = np.ones(2)
+    record = SystemTest(
+        "ball bar",
+        "2026-1",
+        ("probing-form", "length"),
+        ("S00", "S01"),
+        ("C1P1", "C1P1"),
+        ("", "one sphere is not seen"),
+        one,
+        one,
+        one,
+        np.ones(2, np.int64),
+        np.ones(2, np.int64),
+    )
+    comma_separated.write(record, tmp_path / "t.csv")
+    lines = (tmp_path / "t.csv").read_text().splitlines()
+    assert lines[0].startswith('"quantity","state","view","missing","error [mm]"')
+    assert lines[2].startswith('"length","S01","C1P1","one sphere is not seen",1,')
 
 
 def test_a_record_without_values_in_rows_is_refused(tmp_path: Path) -> None:

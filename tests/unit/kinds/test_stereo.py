@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from support.two_cameras import VOLUME, Floats, Height, Motion, at_rest, cameras, curved, flat, seen_by
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
@@ -360,6 +361,20 @@ def test_one_camera_of_three_that_moved_is_not_hidden_by_the_others() -> None:
     images[2] = recorded(np.roll(images[2].texture, 5, axis=0))
     with pytest.raises(MeasurementFailed, match=r"[45](\.\d)? px \(median\) beside the images of their rays"):
         surface_of(subject, images, calibration(3), epipolar_width_px=10.0)
+
+
+def test_one_camera_of_three_that_turned_along_the_images_of_its_rays_is_refused() -> None:
+    """With the first alone its rays meet: what only these two see would be off by a hundred deviations."""
+    subject = Subject("test", "S00", "C1C2C3")
+    images = [exposed(k, 3, curved, at_rest, 0)[0] for k in range(3)]
+    first, _, third = cameras(count=3)
+    towards = first.pose.centre() / np.linalg.norm(first.pose.centre())
+    start, end = project(third.intrinsics, third.pose, np.array([-5.0 * towards, 5.0 * towards]))
+    along = (end - start) / np.linalg.norm(end - start)
+    turned = ndimage.shift(images[2].texture.astype(np.float64), along[::-1], order=5, mode="nearest")
+    images[2] = recorded(np.clip(np.rint(turned), 0, 4095).astype(np.uint16))
+    with pytest.raises(MeasurementFailed, match=r"rays of C1 and C2 and C3 miss each other at .* has turned"):
+        surface_of(subject, images, calibration(3))
 
 
 def test_images_with_nothing_in_common_are_refused() -> None:

@@ -1,0 +1,56 @@
+"""How far the views of one camera differ, beside what they state: what no view can know alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from sms_jobs.metrology.arrays import Floats, Mask
+from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.records.fields import DisplacementField
+from sms_jobs.records.quantity import SYMMETRIC
+from sms_jobs.records.reasons import Reason
+
+_DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
+_FAR_OFF = 6.0
+"""How far two views have to differ to be told, in deviations of their difference."""
+
+
+def told_of_views(views: Sequence[str], moved: Sequence[DisplacementField]) -> str:
+    """Return which views of a camera contradict each other; empty where none do.
+
+    A sensor that turns along the images of its own rays leaves no gap between them. Only another view shows
+    it, and the mean of both is off by more than it states.
+    """
+    return "".join(
+        _told(views[a], moved[a], views[b], moved[b]) for a, b in combinations(range(len(views)), 2)
+    )
+
+
+def _told(first: str, one: DisplacementField, second: str, other: DisplacementField) -> str:
+    both = (one.reason == Reason.VALID) & (other.reason == Reason.VALID)
+    if not both.any():
+        return ""
+    apart = np.linalg.norm(
+        in_space(one.displacement)[:, both] - in_space(other.displacement)[:, both], axis=0
+    )
+    stated = np.sqrt(_variance(one, both) + _variance(other, both))
+    if np.median(apart / stated) <= _FAR_OFF:
+        return ""
+    return (
+        f"; the displacements of {first} and {second} differ by {np.median(apart):.2g} {one.unit} (median) "
+        f"where {np.median(stated):.2g} {one.unit} is stated: a sensor has moved, or its images are of "
+        "another moment, and the merged displacement is off by more than its deviation says; see what each "
+        "view says by itself, and calibrate again"
+    )
+
+
+def _variance(moved: DisplacementField, pixels: Mask) -> Floats:
+    """Return the variance of a displacement's length (n,) at some pixels, with the calibration's part."""
+    noise = covariance_in_space(moved.covariance)[_DIAGONAL][:, pixels].sum(axis=0, dtype=np.float64)
+    if moved.sigma_calibration is None:
+        return np.asarray(noise)
+    part = moved.sigma_calibration[:, pixels].astype(np.float64)
+    return np.asarray(noise + np.nan_to_num(part**2).sum(axis=0))
