@@ -212,8 +212,7 @@ class Server:
             counted.update(looked["jobs"])
             active += looked["active"]
             failure = looked["failure"] or failure
-            # One before this version tells none.
-            told += _REMARKS.validate_python(looked.get("remarks", ()))
+            told += _REMARKS.validate_python(looked["remarks"])
         if active and timeout_s is not None:
             raise timed_out(active, dict(counted), timeout_s)
         return Waited(dict(counted), failure, remarks=tuple(told))

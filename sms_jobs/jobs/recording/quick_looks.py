@@ -26,7 +26,6 @@ from sms_jobs.records.shown.planned_recordings import Status
 from sms_jobs.records.shown.quick_looks import GaugeLook, QuickLookView
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import (
-    DOUBTS,
     GAUGE_QUANTITIES,
     GAUGES,
     GAUGES_READ,
@@ -83,9 +82,7 @@ def _statistics(session: Session, job_ids: Sequence[str]) -> Mapping[str, dict[s
 
 def _view(subject: Subject, job: JobRow, statistics: Mapping[str, float]) -> QuickLookView:
     done = job.state is JobState.SUCCEEDED
-    # Results from before remarks were told apart have them in a message of doubts alone.
-    remarks = remarks_in(job.message) or (job.message if statistics.get(DOUBTS) else "")
-    doubts = remarks if done else job.error or job.message
+    doubts = remarks_in(job.message) if done else job.error or job.message
     gauges = tuple(GaugeLook.of(name, statistics) for name in gauges_in(statistics))
     return QuickLookView(
         subject.campaign,

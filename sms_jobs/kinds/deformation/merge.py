@@ -64,6 +64,7 @@ from sms_jobs.records.field_names import (
 from sms_jobs.records.fields import Axis, DisplacementField, MergedField, Mesh, Surface
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.remarks import remarked
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import maximum_displacement, of_camera
 from sms_jobs.records.subject import Subject
@@ -112,17 +113,18 @@ def _views_by_camera(campaign: Campaign, subject: Subject) -> dict[str, tuple[st
 
 def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
     """Merge the views of every camera, then join the surfaces of all that measure in one frame."""
-    seen, told = [], ""
+    seen, told = [], list[str]()
     for number, (camera, views) in enumerate(inputs.context.items()):
         seen.append(_of_camera(inputs, camera, views, parameters))
-        told += told_of_views(views, [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)])
+        moved = [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)]
+        told.append(told_of_views(views, moved))
         progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(views)}")
     records: dict[Product[Any], object] = {MERGED.of(one.field.camera): one.field for one in seen}
     in_world = [one for one in seen if one.field.has_depth]
     meshes = {MESH.of(s.field.camera): _joined([s.mesh]) for s in seen if s not in in_world}
     if in_world:
         meshes[MESH] = _joined([one.mesh for one in in_world])
-    progress(1.0, f"joined {number_of(len(in_world), 'camera')}{told}")
+    progress(1.0, remarked(*told, beside=f"joined {number_of(len(in_world), 'camera')}"))
     yield DatasetOutput(inputs.subject, {**records, **meshes}, _statistics(seen, list(meshes.values())))
 
 

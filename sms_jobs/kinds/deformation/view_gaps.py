@@ -24,9 +24,8 @@ def told_of_views(views: Sequence[str], moved: Sequence[DisplacementField]) -> s
     A sensor that turns along the images of its own rays leaves no gap between them. Only another view shows
     it, and the mean of both is off by more than it states.
     """
-    return "".join(
-        _told(views[a], moved[a], views[b], moved[b]) for a, b in combinations(range(len(views)), 2)
-    )
+    pairs = combinations(zip(views, moved, strict=True), 2)
+    return "; ".join(filter(None, (_told(*one, *other) for one, other in pairs)))
 
 
 def _told(first: str, one: DisplacementField, second: str, other: DisplacementField) -> str:
@@ -40,7 +39,7 @@ def _told(first: str, one: DisplacementField, second: str, other: DisplacementFi
     if np.median(apart / stated) <= _FAR_OFF:
         return ""
     return (
-        f"; the displacements of {first} and {second} differ by {np.median(apart):.2g} {one.unit} (median) "
+        f"the displacements of {first} and {second} differ by {np.median(apart):.2g} {one.unit} (median) "
         f"where {np.median(stated):.2g} {one.unit} is stated: a sensor has moved, or its images are of "
         "another moment, and the merged displacement is off by more than its deviation says; see what each "
         "view says by itself, and calibrate again"
