@@ -158,7 +158,7 @@ def intrinsics_from(matrix: Floats, coefficients: Floats, where: str, *, fisheye
         raise ConfigurationError(
             f"the focal lengths of {where} should be above 0 px, not {matrix[0, 0]:g} and {matrix[1, 1]:g}"
         )
-    skew, most = float(matrix[0, 1] / matrix[0, 0]), LENS["skew"].high
+    skew, most = float(matrix[0, 1]) / float(matrix[0, 0]), LENS["skew"].high
     if not abs(skew) <= most:
         raise ConfigurationError(
             f"the skew of {where} is {matrix[0, 1]:g} px, {abs(skew):.2g} of fx, allowed is {most:g} of fx; "

@@ -44,9 +44,7 @@ def read_bytes(path: Path, what: str, most: int) -> bytes:
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):
-            raise ConfigurationError(
-                f"{path} cannot be read: it is no regular file; give the file of a {what}"
-            )
+            raise ConfigurationError(f"{path} cannot be read: it is no regular file; give a {what}")
         with path.open("rb") as file:
             content = file.read(most + 1)
     except FileNotFoundError:

@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 from sms_jobs.metrology.geometry.lens import Intrinsics, distorted
 
 _REAL = 1e-9
+_FARTHEST = 1e12
+"""Square of a radius that no image shows; coefficients of next to nothing have roots beyond it."""
 
 
 def _least_root(polynomial: Polynomial) -> float:
-    """Return the smallest positive real root; infinite where there is none."""
-    roots = np.atleast_1d(polynomial.trim().roots())
-    real = roots.real[(np.abs(roots.imag) <= _REAL * np.abs(roots)) & (roots.real > 0.0)]
-    return float(real.min()) if len(real) else inf
+    """Return the smallest positive real root; infinite where there is none.
+
+    The reciprocals are found: then the first coefficient, 1, leads, however small the last ones are.
+    """
+    found = Polynomial(polynomial.coef[::-1]).roots()
+    real = found.real[(np.abs(found.imag) <= _REAL * np.abs(found)) & (found.real > 1.0 / _FARTHEST)]
+    return 1.0 / float(real.max()) if len(real) else inf
 
 
 def fold_radius(intrinsics: Intrinsics) -> float:

@@ -306,6 +306,10 @@ REFUSALS = {
     "other units": (caldat().replace("[deg]", "[rad]"), "Theta should be in deg, not rad"),
     "metres": (caldat().replace("[mm]", "[m]"), "Tx should be in mm, not m"),
     "a comma": (caldat().replace("6600.0", "6600,0"), "should be a number, not '6600,0'"),
+    "a focal length of next to nothing": (
+        caldat().replace("6600.0", "1e-320"),
+        "px, inf of fx, allowed is 0.1 of fx",
+    ),
     "no focal length": (caldat().replace("Cam1_Fy", "Cam1_Fz"), "Fy of Cam1 of"),
     "a strange line": (caldat() + "\n<nothing>", "is no line with a name and a number"),
     "twice in MatchID": (caldat() + "\nTx [mm];1.0", "Tx is given twice in one file"),

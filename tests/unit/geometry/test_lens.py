@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -179,10 +179,18 @@ def test_a_fold_is_found_where_it_is(model: str) -> None:
     assert not lens_kernels.undistorted(lens.vector(), np.array([1.01 * edge, 0.0]), result)
 
 
+@pytest.mark.parametrize("next_to_nothing", [1e-20, -1e-20, 1e-300, -1e-300])
+def test_a_fold_is_found_beside_coefficients_of_next_to_nothing(next_to_nothing: float) -> None:
+    lens, radius = FOLDING["plain"]
+    assert fold_radius(replace(lens, k2=next_to_nothing)) == pytest.approx(radius, rel=1e-9)
+    assert fold_radius(replace(lens, k3=next_to_nothing)) == pytest.approx(radius, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     "lens",
     [
         Intrinsics(1000.0, 1000.0, 0.0, 0.0, k1=0.1, k2=0.2),
+        Intrinsics(1000.0, 1000.0, 0.0, 0.0, k1=1e-300),
         Intrinsics(1000.0, 1000.0, 0.0, 0.0, k4=-0.5),  # to infinity at r = 1.41, which nothing is beyond
         Intrinsics(1000.0, 1000.0, 0.0, 0.0, k1=0.1, fisheye=1.0),
     ],
