@@ -34,7 +34,7 @@ _LIT = 5.0  # standard deviations of the noise
 _LEAST_LIT = 200  # pixels
 _UNEVEN = 0.1  # of the modulation: what light from elsewhere may add to one pattern
 _UNLIKE = 0.25  # of the lit pixels: an exchanged pattern is wrong in half of them
-_APART = 1.4  # times or parts of what patterns differ by: white and black were exposed otherwise
+_MOST_ASIDE = 0.3  # of what patterns differ by, for the middle of white and black: at 0.5 no code is read
 _ROWS, _COLUMNS = 24, 200  # of the pixels that tell what blur leaves
 
 
@@ -258,7 +258,7 @@ def levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[An
         off, within = np.abs(above) - half, 2.0
         lit = half[None] > _LIT * noise
         what = "bit {} is brighter than white or darker than black"
-        otherwise = _exposed_otherwise(above, white - black, noise)
+        otherwise = _exposed_otherwise(above, noise)
     limit = within * _SURE * noise + _UNEVEN * np.median(np.abs(above), axis=0)
     if np.count_nonzero(lit) < _LEAST_LIT:
         return otherwise
@@ -268,16 +268,21 @@ def levels_mishap(measurement: Measurement, orientation: int, frames: NDArray[An
     return what.format(", ".join(map(str, wrong))) if wrong else otherwise
 
 
-def _exposed_otherwise(above: Singles, apart: Singles, noise: Singles) -> str | None:
-    """Say so where white and black are farther apart, or nearer, than the patterns between them."""
+def _exposed_otherwise(above: Singles, noise: Singles) -> str | None:
+    """Say so where the middle of white and black is far from that of the patterns' two levels.
+
+    Light that comes from all over the specimen brightens white more than a pattern, of which half is dark: by
+    how much white and black differ tells nothing, but both middles are the same.
+    """
     contrast = np.ptp(above, axis=0)
     seen = contrast > 2.0 * _LIT * noise[0]
     if np.count_nonzero(seen) < _LEAST_LIT:
         return None
-    times, least = float(np.median(apart.reshape(contrast.shape)[seen] / contrast[seen])), 1.0 / _APART
-    if least <= times <= _APART:
+    middle = 0.5 * (above.max(axis=0) + above.min(axis=0))
+    aside = abs(float(np.median(middle[seen] / contrast[seen])))
+    if aside <= _MOST_ASIDE:
         return None
     return (
-        f"white and black differ by {times:.2g} times what the patterns differ by ({least:.1f} to {_APART} "
-        "is right): they are other frames, or have another exposure"
+        f"the middle of white and black lies {aside:.2g} of what the patterns differ by from theirs (at most "
+        f"{_MOST_ASIDE}): white and black are other frames, or have another exposure"
     )
