@@ -12,7 +12,7 @@ from pydantic import Field
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.calibration_factors import median_part, merged_sigma, states_of
-from sms_jobs.kinds.deformation.view_gaps import told_of_views
+from sms_jobs.kinds.deformation.view_gaps import calibrations_variance, told_of_views
 from sms_jobs.kinds.kind import (
     DatasetOutput,
     Inputs,
@@ -42,6 +42,7 @@ from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.deformation.joining.merging import (
     Merged,
     combine_labels,
+    contradictions,
     correlation_of_pairs,
     join_meshes,
     merge_by_variance,
@@ -194,9 +195,9 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
     moved = [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)]
     at_rest = {own.view: own for own in inputs.about(_REFERENCE.port)}
     surfaces = [inputs.read(_REFERENCE.port, SURFACE, at_rest[view]) for view in views]
-    displacement = _merged(
-        [in_space(d.displacement) for d in moved], [covariance_in_space(d.covariance) for d in moved]
-    )
+    vectors = [in_space(d.displacement) for d in moved]
+    covariances = [covariance_in_space(d.covariance) for d in moved]
+    displacement = _merged(vectors, covariances)
     position = merge_by_variance(
         [
             np.where(d.reason == Reason.VALID, in_space(s.position), np.nan)
@@ -207,7 +208,8 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
     missing = displacement.contributors == 0
     reason = np.zeros(missing.shape, dtype=np.uint32)
     reason[missing] = np.bitwise_or.reduce([d.reason for d in moved])[missing]
-    covariance = displacement.covariance.astype(np.float32)
+    apart = contradictions(vectors, covariances, [calibrations_variance(d) for d in moved])
+    covariance = (displacement.covariance + apart).astype(np.float32)
     axes = len(surfaces[0].position)
     resolution_px, resolution = _resolution(moved)
     field = MergedField(

@@ -8,21 +8,20 @@ from itertools import combinations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
+from sms_jobs.metrology.deformation.joining.merging import CONTRADICTION
 from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
 from sms_jobs.records.fields import DisplacementField
 from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
 
 _DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
-_FAR_OFF = 6.0
-"""How far two views have to differ to be told, in deviations of their difference."""
 
 
 def told_of_views(views: Sequence[str], moved: Sequence[DisplacementField]) -> str:
     """Return which views of a camera contradict each other; empty where none do.
 
     A sensor that turns along the images of its own rays leaves no gap between them. Only another view shows
-    it, and the mean of both is off by more than it states.
+    it, and the mean of both is wrong.
     """
     pairs = combinations(zip(views, moved, strict=True), 2)
     return "; ".join(filter(None, (_told(*one, *other) for one, other in pairs)))
@@ -36,12 +35,12 @@ def _told(first: str, one: DisplacementField, second: str, other: DisplacementFi
         in_space(one.displacement)[:, both] - in_space(other.displacement)[:, both], axis=0
     )
     stated = np.sqrt(_variance(one, both) + _variance(other, both))
-    if np.median(apart / stated) <= _FAR_OFF:
+    if np.median(apart / stated) <= CONTRADICTION:
         return ""
     return (
         f"the displacements of {first} and {second} differ by {np.median(apart):.2g} {one.unit} (median) "
         f"where {np.median(stated):.2g} {one.unit} is stated: a sensor has moved, or its images are of "
-        "another moment, and the merged displacement is off by more than its deviation says; see what each "
+        "another moment; the merged displacement lies between them, as its deviation says; see what each "
         "view says by itself, and calibrate again"
     )
 
@@ -49,7 +48,11 @@ def _told(first: str, one: DisplacementField, second: str, other: DisplacementFi
 def _variance(moved: DisplacementField, pixels: Mask) -> Floats:
     """Return the variance of a displacement's length (n,) at some pixels, with the calibration's part."""
     noise = covariance_in_space(moved.covariance)[_DIAGONAL][:, pixels].sum(axis=0, dtype=np.float64)
+    return np.asarray(noise + calibrations_variance(moved)[pixels])
+
+
+def calibrations_variance(moved: DisplacementField) -> Floats:
+    """Return the calibration's part of the variance (rows, columns) of a displacement; 0 where unknown."""
     if moved.sigma_calibration is None:
-        return np.asarray(noise)
-    part = moved.sigma_calibration[:, pixels].astype(np.float64)
-    return np.asarray(noise + np.nan_to_num(part**2).sum(axis=0))
+        return np.zeros(moved.reason.shape)
+    return np.asarray(np.nansum(np.square(moved.sigma_calibration, dtype=np.float64), axis=0))

@@ -53,6 +53,22 @@ def test_of_three_views_those_that_differ_are_told() -> None:
     assert "C1C3 and C1C4 differ by 0.99 mm" in said
 
 
+def test_the_merged_deviation_has_what_views_differ_by(plate: Any) -> None:
+    key = ("correlate", plate.subject("S01", "C1P2"))
+    field = plate.results[key]["displacement"]
+    off = replace(field, displacement=field.displacement + np.array([0.0, 0.0, 1.0])[:, None, None])
+    changed = replace(plate, results={**plate.results, key: {**plate.results[key], "displacement": off}})
+    merged = changed.run(merge.KIND, plate.subject("S01")).records["merged_C1"]
+    before = plate.results["merge", plate.subject("S01")]["merged_C1"]
+    both = merged.contributors == 2
+    error = merged.displacement[2] - plate.truth("C1P1").displacement[2]
+    known = both & np.isfinite(error)
+    # Either view may be right: the deviation is half of what they differ by, as the error is.
+    score = error[known] / np.sqrt(merged.covariance[5][known])
+    assert 0.5 < np.sqrt(np.mean(score**2)) < 2.0
+    np.testing.assert_array_equal(merged.covariance[:, ~both], before.covariance[:, ~both])
+
+
 @pytest.mark.parametrize("off_mm", [0.0, 1.0])
 def test_the_merged_displacement_says_so(plate: Any, off_mm: float) -> None:
     key = ("correlate", plate.subject("S01", "C1P2"))

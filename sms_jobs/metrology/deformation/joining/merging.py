@@ -11,9 +11,12 @@ from scipy.spatial import cKDTree
 
 from sms_jobs.metrology.arrays import Floats, Ints
 
+CONTRADICTION = 6.0
+"""Deviations of their difference: pairs that differ by more cannot both be right."""
 _DIAGONAL = (0, 3, 5)  # of a packed symmetric tensor
 _LEAST_VARIANCE = 1e-18  # a picometre: an exact pair would outweigh any other by infinity
 _OUTLIER = 5.0  # sigmas: pairs that differ by more see different things, and do not tell of their noise
+_PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # components of a packed symmetric tensor
 _LEAST_TOGETHER = 100  # pixels that two pairs must have in common to tell how their errors go together
 
 
@@ -149,6 +152,48 @@ def merge_by_variance(
     rms = float(np.sqrt(squares.sum() / total_differences)) if total_differences else float("nan")
     local = np.sqrt(squares / np.where(differences > 0, differences, np.nan))
     return Merged(mean, spread, contributors, rms, local)
+
+
+def contradictions(
+    values: Sequence[NDArray[np.floating]],
+    covariances: Sequence[NDArray[np.floating]],
+    further: Sequence[NDArray[np.floating]],
+) -> Floats:
+    """Return the covariance of the mean from pairs that contradict each other; zero where none do.
+
+    Parameters
+    ----------
+    values, covariances
+        As of `merge_by_variance`.
+    further
+        Of each pair: (rows, columns), variance that its covariance does not have, as of the calibration.
+
+    Returns
+    -------
+    (6, rows, columns), to be added to the covariance of `merge_by_variance`.
+
+    Notes
+    -----
+    Which of them is right nobody knows: with weights w_i and residuals r_i it is the sum of w_i r_i r_i^T,
+    where its trace is more than `CONTRADICTION` squared times what was to be expected.
+    """
+    variances = [_variance(v, c) for v, c in zip(values, covariances, strict=True)]
+    weights = _weights(variances)
+    shape = weights[0].shape
+    residuals = np.where(weights[:, None] > 0.0, np.asarray(values), 0.0)
+    residuals -= np.where(weights[:, None] > 0.0, (weights[:, None] * residuals).sum(axis=0), 0.0)
+    expected = np.zeros(shape)
+    stated = [v + np.nan_to_num(more) for v, more in zip(variances, further, strict=True)]
+    for a in range(len(values)):
+        for b in range(a + 1, len(values)):
+            both = (weights[a] > 0.0) & (weights[b] > 0.0)
+            expected[both] += (weights[a] * weights[b] * (stated[a] + stated[b]))[both]
+    found = np.sum(weights * np.sum(residuals**2, axis=1), axis=0)
+    apart = (expected > 0.0) & (found > CONTRADICTION**2 * expected)
+    spread = np.zeros((6, *shape))
+    for packed, (i, j) in enumerate(_PACKED):
+        spread[packed, apart] = np.sum(weights * residuals[:, i] * residuals[:, j], axis=0)[apart]
+    return spread
 
 
 def _add_shared(
