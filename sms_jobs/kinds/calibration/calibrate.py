@@ -98,7 +98,7 @@ def _start(inputs: Inputs, plan: SessionPlan, boards: Boards) -> Start:
 KIND = Kind(
     name=CALIBRATE,
     summary="calibrate a rig from poses of a ball bar and of a board",
-    version=10,
+    version=11,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, OBSERVED_BARS, START, START_OF_BOARDS, LAST),

@@ -261,7 +261,7 @@ def _statistics(calibration: Calibration, quality: CalibrationQuality, found: Ad
 KIND = Kind(
     name=CALIBRATE_BOARDS,
     summary="calibrate a rig from poses of a board",
-    version=11,
+    version=12,
     scope=Scope.CAMPAIGN,
     parameters=CalibrateParameters,
     inputs=(OBSERVED_BOARDS, LAST),

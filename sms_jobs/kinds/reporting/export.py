@@ -169,7 +169,7 @@ def _with_texture(mesh: Mesh, textures: Mapping[str, NDArray[np.float32]]) -> Me
 KIND = Kind(
     name="export",
     summary="write what is known of a state for Tecplot, ParaView, CAD, MATLAB and spreadsheets",
-    version=4,
+    version=5,
     scope=Scope.STATE,
     parameters=ExportParameters,
     inputs=(_MERGED, _FRAMES),
