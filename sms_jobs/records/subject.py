@@ -20,8 +20,8 @@ def checked_name(name: str, what: str) -> str:
     """Return `name` when it can stand in a path and in `campaign/state/view`; raise `InvalidInput` if not."""
     if not _NAME.fullmatch(name) or ".." in name:
         raise InvalidInput(
-            f"'{name}' cannot be the name of a {what}: use at most 64 letters, digits, '.', '_' or '-', "
-            "beginning with a letter or digit"
+            f"'{name}' cannot be the name of a {what}: use at most 64 of the letters a to z and A to Z, "
+            "digits, '.', '_' or '-', beginning with a letter or digit"
         )
     return name
 

@@ -264,6 +264,15 @@ def test_a_page_says_that_the_server_is_away_and_goes_on_by_itself(page: Browser
         assert page.run("new URLSearchParams(location.search).get('next')") == "/"
 
 
+def test_a_password_that_is_set_is_told(page: Browser, site: str) -> None:
+    log_in(page, site, "ada", "/people/vera")
+    page.write("#password", PASSWORD)
+    page.click("#word button")
+    page.wait_for("document.querySelector('#said').textContent.startsWith('The password is set')")
+    assert page.run("document.querySelector('#password').value") == ""
+    assert page.complaints == []
+
+
 def test_what_is_typed_outlives_the_session(page: Browser, site: str, home: Path) -> None:
     log_in(page, site, "ada", "/campaigns/plate?kind=simulate")
     page.run("document.querySelector('#run').value = 'night'")  # it is folded away

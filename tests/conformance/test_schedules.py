@@ -186,3 +186,9 @@ def test_a_name_is_taken_once(catalogue: Catalogue) -> None:
     add(catalogue, "every 1h")
     with pytest.raises(Conflict, match="nightly"):
         add(catalogue, "every 2h")
+
+
+def test_an_empty_question_is_not_that_for_everything(catalogue: Catalogue) -> None:
+    submit_pipeline(catalogue)
+    with pytest.raises(InvalidInput, match="the question is empty, so that every state of every campaign"):
+        add(catalogue, "every 1h", Order("", tuple(REQUESTS), where=" "))

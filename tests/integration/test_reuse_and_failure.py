@@ -82,6 +82,9 @@ def test_a_job_that_finds_nothing_says_so(plate: Path) -> None:
     assert waited["nothing_valid"]["latest"].startswith(said)
     why = run(plate, "job", "explain", *again)["explanation"]
     assert any(sentence.startswith("nothing valid") for sentence in why)
+    # Nobody waits for what a schedule submits: the list of jobs tells it, too.
+    first = next(job for job in run(plate, "job", "list", "--kind", "reconstruct") if not job["reused_from"])
+    assert f"s; {said.partition(': ')[2]}" in first["message"]
 
 
 def test_what_is_not_there_to_be_done_or_shown_is_said_once(plate: Path) -> None:

@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 from sms_jobs.errors import InvalidInput
-from sms_jobs.records.subject import Subject
+from sms_jobs.records.subject import Subject, checked_name
 
 TUPLE, STATE, CAMPAIGN = Subject("wing", "S01", "C1P2"), Subject("wing", "S01"), Subject("wing")
 EVERY = (TUPLE, STATE, CAMPAIGN, Subject("wing", "S010"), Subject("wing-2", "S01", "C1P2"))
@@ -35,3 +35,8 @@ def test_a_subject_is_called_by_its_parts() -> None:
     assert (TUPLE.at_state, STATE.at_state, CAMPAIGN.at_state) == (STATE, STATE, CAMPAIGN)
     assert (TUPLE.within, STATE.within, CAMPAIGN.within) == ("S01/C1P2", "S01", "wing")
     assert (TUPLE.in_filename, CAMPAIGN.in_filename) == ("wing-S01-C1P2", "wing")
+
+
+def test_a_name_of_other_letters_is_refused_with_those_it_may_have() -> None:
+    with pytest.raises(InvalidInput, match="use at most 64 of the letters a to z and A to Z, digits"):
+        checked_name("Flügel", "campaign")

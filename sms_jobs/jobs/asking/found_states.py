@@ -12,7 +12,7 @@ from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.queries.states import find_page
-from sms_jobs.errors import NotFound
+from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, REFERENCE_SURFACES
 from sms_jobs.records.shown.portion import Portion
@@ -48,10 +48,16 @@ def states_to_submit(session: Session, where: str) -> dict[str, tuple[str, ...]]
     Raises
     ------
     InvalidInput
-        The question cannot be understood.
+        The question cannot be understood, or is empty.
     NotFound
         No state meets it.
     """
+    if not where.strip():
+        # As from a script whose variable nobody has set.
+        raise InvalidInput(
+            "the question is empty, so that every state of every campaign would meet it; say which, as in "
+            "'campaign = wing' or 'time in 2026'"
+        )
     query, words = parse(where), vocabulary()
     labels: dict[str, list[str]] = {}
     portion = Portion(("campaign", "state"), limit=_PAGE)

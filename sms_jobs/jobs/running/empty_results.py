@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -41,7 +42,9 @@ def empty_results(session: Session, some: Chosen, began: datetime) -> EmptyResul
         return EmptyResults()
     some_latest = session.execute(found.order_by(FileRow.id.desc()).limit(_MOST_ASKED)).all()
     # What is made of an empty result is as empty, and cannot say why.
-    latest = next((one for one in some_latest if _reasons(session, one.file_id)), some_latest[0])
+    latest = next(
+        (one for one in some_latest if _reasons(search.statistics(session, one.file_id))), some_latest[0]
+    )
     return EmptyResults(count, f"{latest.kind} {latest.subject}: {explanation(session, latest.file_id)}")
 
 
@@ -53,13 +56,21 @@ def explanations(session: Session, job: JobRow) -> list[str]:
 
 def explanation(session: Session, file_id: int) -> str:
     """Say by which reasons a file has no valid value."""
-    told = _reasons(session, file_id)
+    return _told(search.statistics(session, file_id))
+
+
+def told_of_empty(results: Iterable[Mapping[str, float]]) -> str:
+    """Say by which reasons a result of several has no valid value, by their statistics; "" where all have."""
+    return next((_told(one) for one in results if one.get(VALID_FRACTION_OF_IMAGE) == 0.0), "")
+
+
+def _told(statistics: Mapping[str, float]) -> str:
+    told = _reasons(statistics)
     return f"nothing valid: {told}" if told else "nothing valid"
 
 
-def _reasons(session: Session, file_id: int) -> str:
+def _reasons(statistics: Mapping[str, float]) -> str:
     """Return what took most of the pixels of a file, or of the points that were matched; "" if unknown."""
-    statistics = search.statistics(session, file_id)
     for what, part in (("lit pixels", lost_to), ("points", fraction_of_points)):
         lost = losses(statistics, part)
         worst = sorted((n for n in lost if lost[n] >= _LEAST_TOLD), key=lambda n: -lost[n])[:_MOST_TOLD]

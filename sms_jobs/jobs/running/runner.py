@@ -45,6 +45,7 @@ from sms_jobs.jobs.devices.stations import Stations
 from sms_jobs.jobs.results import newer, reuse
 from sms_jobs.jobs.results.reuse import Earlier
 from sms_jobs.jobs.running import alike, lifecycle, outages, queues, recovery
+from sms_jobs.jobs.running.empty_results import told_of_empty
 from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.jobs.running.logs import logged
 from sms_jobs.jobs.running.progress import ThrottledProgress
@@ -213,7 +214,8 @@ class Runner:
             self._discard(held, kind, sealed)
             raise
         took = f"took {time.monotonic() - started:.1f} s{because}"
-        message = "; ".join(filter(None, (took, progress.closing)))
+        empty = told_of_empty(one.provenance.statistics for one in sealed)
+        message = "; ".join(filter(None, (took, empty, progress.closing)))
         return self._succeed(held, kind, sealed, begun.key, message)
 
     def _take_up(self, session: Session, held: Claim, begun: _Begun, fault: SmsError | None) -> _Begun:
