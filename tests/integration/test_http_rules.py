@@ -113,7 +113,7 @@ def test_a_session_is_begun_and_ended(home: tuple[httpx2.Client, dict[Role, str]
 @pytest.mark.parametrize(
     ("path", "body"),
     [
-        ("calibrations/certify", {"session": "plate"}),
+        ("calibrations/certify", {"session": "boards"}),
         ("calibrations/77/use", {"in_use": True}),
         ("calibrations/77/use", {"in_use": False, "campaign": "plate"}),
     ],
@@ -130,5 +130,5 @@ def test_what_calibration_is_used_asks_for_the_password_again(
 
     assert decide().json()["kind"] == "PasswordNeeded"
     assert decide(password="not this one").json()["kind"] == "NotAllowed"
-    # Confirmed: now it is the calibration that is missing.
+    # Confirmed: now it is the session or the calibration that is missing.
     assert decide(password=_PASSWORD.get_secret_value()).json()["kind"] == "NotFound"
