@@ -93,11 +93,15 @@ _REFERENCE = surface_port(AT_REST, several=True)
 
 @dataclass(frozen=True)
 class _Seen:
-    """What one camera sees: its merged field, its mesh with values, and where it could measure."""
+    """What one camera sees: its merged field, its mesh with values, and where it could measure.
+
+    `told` is which of its views contradict each other.
+    """
 
     field: MergedField
     mesh: Mesh
     measurable: Mask
+    told: str
 
 
 def _needs(campaign: Campaign, subject: Subject, parameters: MergeParameters) -> Iterable[Need]:
@@ -114,24 +118,24 @@ def _views_by_camera(campaign: Campaign, subject: Subject) -> dict[str, tuple[st
 
 def run(inputs: Inputs, parameters: MergeParameters, progress: Progress) -> Iterator[Output]:
     """Merge the views of every camera, then join the surfaces of all that measure in one frame."""
-    seen, told = [], list[str]()
+    seen = []
     for number, (camera, views) in enumerate(inputs.context.items()):
         seen.append(_of_camera(inputs, camera, views, parameters))
-        moved = [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)]
-        told.append(told_of_views(views, moved))
         progress(0.8 * (number + 1) / len(inputs.context), f"merged {', '.join(views)}")
     records: dict[Product[Any], object] = {MERGED.of(one.field.camera): one.field for one in seen}
     in_world = [one for one in seen if one.field.has_depth]
     meshes = {MESH.of(s.field.camera): _joined([s.mesh]) for s in seen if s not in in_world}
     if in_world:
         meshes[MESH] = _joined([one.mesh for one in in_world])
-    progress(1.0, remarked(*told, beside=f"joined {number_of(len(in_world), 'camera')}"))
+    progress(
+        1.0, remarked(*(one.told for one in seen), beside=f"joined {number_of(len(in_world), 'camera')}")
+    )
     yield DatasetOutput(inputs.subject, {**records, **meshes}, _statistics(seen, list(meshes.values())))
 
 
 def _of_camera(inputs: Inputs, camera: str, views: tuple[str, ...], parameters: MergeParameters) -> _Seen:
     """Merge what the views of one camera say, and put triangles between its pixels."""
-    field, measurable = _merged_camera(inputs, camera, views)
+    field, measurable, told = _merged_camera(inputs, camera, views)
     strain, axis = _merged_strain(inputs, views)
     labels = combine_labels([inputs.read(_MOVED, REGIONS, own).labels for own in _of(inputs, views)])
     labels[field.reason != Reason.VALID] = 0
@@ -151,7 +155,7 @@ def _of_camera(inputs: Inputs, camera: str, views: tuple[str, ...], parameters: 
         np.stack([column, row]).astype(np.int32),
         axis,
     )
-    return _Seen(field, mesh, measurable)
+    return _Seen(field, mesh, measurable, told)
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -187,10 +191,10 @@ def _of(inputs: Inputs, views: Sequence[str]) -> list[Subject]:
     return [replace(inputs.subject, view=view) for view in views]
 
 
-def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple[MergedField, Mask]:
+def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple[MergedField, Mask, str]:
     """Merge displacement, and the shape where there is displacement, over the views of one camera.
 
-    Beside them stands where any of the views has a shape.
+    Beside them stands where any of the views has a shape, and which of them contradict each other.
     """
     moved = [inputs.read(_MOVED, DISPLACEMENT, own) for own in _of(inputs, views)]
     at_rest = {own.view: own for own in inputs.about(_REFERENCE.port)}
@@ -228,7 +232,8 @@ def _merged_camera(inputs: Inputs, camera: str, views: tuple[str, ...]) -> tuple
         resolution_px=resolution_px,
         resolution=resolution,
     )
-    return field, np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
+    measurable = np.logical_or.reduce([s.reason == Reason.VALID for s in surfaces])
+    return field, measurable, told_of_views(views, moved)
 
 
 def _resolution(moved: Sequence[DisplacementField]) -> tuple[float | None, Singles | None]:

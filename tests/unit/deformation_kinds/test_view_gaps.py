@@ -54,6 +54,10 @@ def test_of_three_views_those_that_differ_are_told() -> None:
 
 
 def test_the_merged_deviation_has_what_views_differ_by(plate: Any) -> None:
+    """Of weights w and 1 - w the mean is off by w of the difference and states sqrt(w (1 - w)) of it.
+
+    So the score is sqrt(w / (1 - w)): within a factor of two for weights up to 4 to 1.
+    """
     key = ("correlate", plate.subject("S01", "C1P2"))
     field = plate.results[key]["displacement"]
     off = replace(field, displacement=field.displacement + np.array([0.0, 0.0, 1.0])[:, None, None])

@@ -26,7 +26,7 @@ _MOST_RELATIVE = 0.01
 """Of a focal length, and of a principal point over the focal length: beyond it nothing is linear."""
 
 _DOUBTED_ALONE = 0.002
-"""Of a focal length where no pair measures points, by which a calibration is judged otherwise."""
+"""A fifth of that, as of points: of a focal length where no pair measures points that could be judged."""
 
 _REFUSED_PART, _DOUBTED_PART = 1e-3, 2e-4
 """Of the volume's diagonal, for the standard deviation of a point in the shape of things, scale apart; the

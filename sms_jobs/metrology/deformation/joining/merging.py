@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sms_jobs.metrology.arrays import Floats, Ints
+from sms_jobs.metrology.geometry.transforms import pack
 
 CONTRADICTION = 6.0
 """Deviations of their difference: pairs that differ by more cannot both be right."""
 _DIAGONAL = (0, 3, 5)  # of a packed symmetric tensor
 _LEAST_VARIANCE = 1e-18  # a picometre: an exact pair would outweigh any other by infinity
 _OUTLIER = 5.0  # sigmas: pairs that differ by more see different things, and do not tell of their noise
-_PACKED = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # components of a packed symmetric tensor
 _LEAST_TOGETHER = 100  # pixels that two pairs must have in common to tell how their errors go together
 
 
@@ -191,8 +191,8 @@ def contradictions(
     found = np.sum(weights * np.sum(residuals**2, axis=1), axis=0)
     apart = (expected > 0.0) & (found > CONTRADICTION**2 * expected)
     spread = np.zeros((6, *shape))
-    for packed, (i, j) in enumerate(_PACKED):
-        spread[packed, apart] = np.sum(weights * residuals[:, i] * residuals[:, j], axis=0)[apart]
+    some = residuals[:, :, apart]
+    spread[:, apart] = pack(np.einsum("vn,vin,vjn->nij", weights[:, apart], some, some))
     return spread
 
 
