@@ -131,21 +131,46 @@ def _slope(
 
 
 @inlined
-def _length(x: float, y: float, z: float) -> float:
-    return sqrt(x * x + y * y + z * z)
+def _square(x: float, y: float, z: float) -> float:
+    return x * x + y * y + z * z
+
+
+@kernel
+def _slopes_of_five(xyz: Floats, valid: Mask, row: int, axis: int, slope: Floats, whole: Mask) -> None:
+    """Fill (columns,) which pixels of a row have two valid ones on either side, and the slope of all five."""
+    rows, columns = valid.shape
+    down, right = axis, 1 - axis
+    whole[:] = False
+    if row < 2 * down or row + 2 * down >= rows:
+        return
+    # Unsigned indices need no look at their sign, which would keep pixels from being done at a time.
+    r0, r1, r2 = np.uint64(row - 2 * down), np.uint64(row - down), np.uint64(row)
+    r3, r4 = np.uint64(row + down), np.uint64(row + 2 * down)
+    for c in range(2 * right, columns - 2 * right):
+        c0, c1, c2 = np.uint64(c - 2 * right), np.uint64(c - right), np.uint64(c)
+        c3, c4 = np.uint64(c + right), np.uint64(c + 2 * right)
+        square = 0.0
+        for i in (np.uint64(0), np.uint64(1), np.uint64(2)):
+            along = 0.2 * (xyz[i, r4, c4] - xyz[i, r0, c0]) + 0.1 * (xyz[i, r3, c3] - xyz[i, r1, c1])
+            square += along * along
+        all_five = valid[r0, c0] & valid[r1, c1] & valid[r2, c2] & valid[r3, c3] & valid[r4, c4]
+        whole[c2] = all_five
+        slope[c2] = sqrt(square) if all_five else np.nan
 
 
 @kernel
 def _gradient_rows(
     xyz: Floats, valid: Mask, half_width: int, start: int, stop: int, gradient: Floats
 ) -> None:
+    whole = np.zeros(valid.shape[1], dtype=np.bool_)
     for row in range(start, stop):
-        for column in range(valid.shape[1]):
-            if not valid[row, column]:
-                continue
-            for axis in range(2):
-                x, y, z = _slope(xyz, valid, (row, column, axis, 1 - axis), -half_width, half_width)
-                gradient[axis, row, column] = _length(x, y, z)
+        for axis in range(2):
+            if half_width == 2:
+                _slopes_of_five(xyz, valid, row, axis, gradient[axis, row], whole)
+            for column in range(valid.shape[1]):
+                if valid[row, column] and not whole[column]:
+                    x, y, z = _slope(xyz, valid, (row, column, axis, 1 - axis), -half_width, half_width)
+                    gradient[axis, row, column] = sqrt(_square(x, y, z))
 
 
 def surface_gradient(xyz: Floats, valid: Mask, half_width: int = 2, threads: int = 1) -> Floats:
@@ -173,6 +198,40 @@ def surface_gradient(xyz: Floats, valid: Mask, half_width: int = 2, threads: int
 
 
 @kernel
+def _look_closer(
+    xyz: Floats, valid: Mask, sigma: Floats, limit: Floats, row: int, down: int, right: int, closer: Mask
+) -> None:
+    """Fill `closer` (columns,): which pixels of a row `_mark_jumps` has to look at with their neighbours.
+
+    Not at those that three valid pixels on either side tell to be continuous: of three the one in the middle
+    has no say in a slope, so that several pairs are told at a time.
+    """
+    rows, columns = valid.shape
+    closer[:] = True
+    if row < 2 * down or row + 3 * down >= rows:
+        return
+    step = sqrt(float(down * down + right * right))
+    # Unsigned indices need no look at their sign, which would keep pairs from being told at a time.
+    r0, r1, r2 = np.uint64(row - 2 * down), np.uint64(row - down), np.uint64(row)
+    r3, r4, r5 = np.uint64(row + down), np.uint64(row + 2 * down), np.uint64(row + 3 * down)
+    for c in range(max(2 * right, -3 * right, 0), columns - max(3 * right, -2 * right, 0)):
+        c0, c1, c2 = np.uint64(c - 2 * right), np.uint64(c - right), np.uint64(c)
+        c3, c4, c5 = np.uint64(c + right), np.uint64(c + 2 * right), np.uint64(c + 3 * right)
+        before, after, gaps = 0.0, 0.0, 0.0
+        for i in (np.uint64(0), np.uint64(1), np.uint64(2)):
+            slope = 0.5 * (xyz[i, r2, c2] - xyz[i, r0, c0])
+            beyond = 0.5 * (xyz[i, r5, c5] - xyz[i, r3, c3])
+            gap = xyz[i, r3, c3] - xyz[i, r2, c2] - 0.5 * (slope + beyond)
+            before += slope * slope
+            after += beyond * beyond
+            gaps += gap * gap
+        allowed = min(limit[r2, c2] * step, _CREASE * sqrt(max(before, after)))
+        allowed += _NOISE * max(sigma[r2, c2], sigma[r3, c3])
+        whole = valid[r0, c0] & valid[r1, c1] & valid[r2, c2] & valid[r3, c3] & valid[r4, c4] & valid[r5, c5]
+        closer[c2] = not (whole & (gaps <= allowed * allowed))
+
+
+@kernel
 def _mark_jumps(
     xyz: Floats,
     valid: Mask,
@@ -184,29 +243,31 @@ def _mark_jumps(
 ) -> None:
     """Mark both pixels of every pair of neighbours that no crease explains."""
     rows, columns = valid.shape
-    for row in range(rows):
-        for column in range(columns):
-            if not valid[row, column]:
-                continue
-            for d in range(len(directions)):
-                down, right = directions[d, 0], directions[d, 1]
+    closer = np.ones(columns, dtype=np.bool_)
+    for d in range(len(directions)):
+        down, right = directions[d, 0], directions[d, 1]
+        step = sqrt(float(down * down + right * right))
+        for row in range(rows - down):
+            if half_width == 2:
+                _look_closer(xyz, valid, sigma, limit, row, down, right, closer)
+            for column in range(max(-right, 0), columns - max(right, 0)):
                 r, c = row + down, column + right
-                if not (r < rows and 0 <= c < columns and valid[r, c]):
+                if not (closer[column] and valid[row, column] and valid[r, c]):
                     continue
                 gap_x = xyz[0, r, c] - xyz[0, row, column]
                 gap_y = xyz[1, r, c] - xyz[1, row, column]
                 gap_z = xyz[2, r, c] - xyz[2, row, column]
-                allowed = limit[row, column] * sqrt(float(down * down + right * right))
+                allowed = limit[row, column] * step
                 x, y, z = _slope(xyz, valid, (row, column, down, right), -half_width, 0)
                 after_x, after_y, after_z = _slope(xyz, valid, (r, c, down, right), 0, half_width)
                 if np.isfinite(x) and np.isfinite(after_x):
-                    steeper = max(_length(x, y, z), _length(after_x, after_y, after_z))
-                    allowed = min(allowed, _CREASE * steeper)
+                    steeper = max(_square(x, y, z), _square(after_x, after_y, after_z))
+                    allowed = min(allowed, _CREASE * sqrt(steeper))
                     gap_x -= 0.5 * (x + after_x)
                     gap_y -= 0.5 * (y + after_y)
                     gap_z -= 0.5 * (z + after_z)
-                gap = _length(gap_x, gap_y, gap_z)
-                if gap > allowed + _NOISE * max(sigma[row, column], sigma[r, c]):
+                allowed += _NOISE * max(sigma[row, column], sigma[r, c])
+                if _square(gap_x, gap_y, gap_z) > allowed * allowed:
                     jump[row, column] = True
                     jump[r, c] = True
 

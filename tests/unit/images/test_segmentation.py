@@ -72,6 +72,50 @@ def test_gradients_are_the_least_squares_slopes(rng: np.random.Generator) -> Non
             assert found[axis, row, column] == pytest.approx(np.linalg.norm(slope), rel=1e-9)
 
 
+def one_sided(xyz: Floats, valid: Mask, start: tuple[int, int], step: tuple[int, int]) -> Floats:
+    """Return the slope of a line through the valid of three pixels from a start on; NaN for one alone."""
+    at = [(k, start[0] + k * step[0], start[1] + k * step[1]) for k in range(3)]
+    seen = [(k, r, c) for k, r, c in at if 0 <= r < ROWS and 0 <= c < COLUMNS and valid[r, c]]
+    if len(seen) < 2:
+        return np.full(3, np.nan)
+    return np.polyfit([k for k, _, _ in seen], [xyz[:, r, c] for _, r, c in seen], 1)[0]
+
+
+def jumps(xyz: Floats, valid: Mask, limit: float) -> Mask:
+    """Return the pixels beside jumps as this module's head describes them, one pair after the other."""
+    found = np.zeros_like(valid)
+    for step in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        for r, c in np.argwhere(valid):
+            other = r + step[0], c + step[1]
+            if not (other[0] < ROWS and 0 <= other[1] < COLUMNS and valid[other]):
+                continue
+            gap, allowed = xyz[:, *other] - xyz[:, r, c], limit * np.hypot(*step)
+            before = -one_sided(xyz, valid, (r, c), (-step[0], -step[1]))
+            after = one_sided(xyz, valid, other, step)
+            if np.isfinite(before + after).all():
+                allowed = min(allowed, 1.5 * max(np.linalg.norm(before), np.linalg.norm(after)))
+                gap = gap - 0.5 * (before + after)
+            if np.linalg.norm(gap) > allowed + 7.2 * NOISE:
+                found[r, c] = found[other] = True
+    return found
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.04, 0.3])
+def test_jumps_are_found_pair_by_pair(missing: float, rng: np.random.Generator) -> None:
+    """Pairs whose neighbours are all there go through a loop of their own, between others that do not."""
+    steps = rng.uniform(0.0, 6.0, (ROWS // 8, COLUMNS // 8)).repeat(8, axis=0).repeat(8, axis=1)
+    xyz = surface(0.2 * X + steps, rng)
+    valid = rng.random((ROWS, COLUMNS)) >= missing
+    xyz[:, ~valid] = np.nan
+    edges = EdgeSettings(maximum_slope_rad=1.5)
+    limit = PIXEL / np.cos(edges.maximum_slope_rad)
+    with np.errstate(invalid="ignore"):
+        steep = (surface_gradient(xyz, valid) >= limit).any(axis=0)
+    expected = jumps(xyz, valid, limit)
+    assert 0.05 < expected.mean() < 0.95
+    np.testing.assert_array_equal(marked(xyz, edges, valid), expected | steep)
+
+
 def test_an_invalid_pixel_has_no_gradient() -> None:
     valid = ALL.copy()
     valid[5, 7] = False
