@@ -45,6 +45,18 @@ def test_the_spline_is_scipys(rng: np.random.Generator, order: Order) -> None:
 
 
 @orders
+@pytest.mark.parametrize("shape", [(1, 30), (2, 9), (30, 3), (61, 17), (200, 333)])
+def test_coefficients_are_scipys_whatever_the_size(
+    rng: np.random.Generator, shape: tuple[int, int], order: Order
+) -> None:
+    image = rng.uniform(0.0, 4095.0, shape)
+    inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
+    expected = ndimage.spline_filter(image, order=DEGREE[order], mode="mirror")
+    # Rounding: some tens of operations on numbers of 2 10^5, the filters gaining by 7.5 along either axis.
+    np.testing.assert_allclose(spline_coefficients(image, order)[inner], expected, atol=5e-9)
+
+
+@orders
 @pytest.mark.parametrize("slope", [0.0, 0.01, 0.04, -0.3])
 def test_runs_of_neighbours_and_scattered_points_agree(
     rng: np.random.Generator, slope: float, order: Order
