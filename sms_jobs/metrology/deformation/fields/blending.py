@@ -8,6 +8,7 @@ from sms_jobs.metrology.arrays import Floats, Ints, Labels
 from sms_jobs.metrology.compilation import kernel, summing_kernel
 
 _LANES = 8  # matches that one instruction may take
+_ROOM = 264  # matches: of a power of 2, all rows would want the same lines of a core's cache
 _BEYOND = 1.0 + 1e-9
 """Squared distance, in those of the reach, from which on a match weighs nothing however it is rounded."""
 
@@ -98,7 +99,7 @@ def _gather(
         for m in range(first[j, left], first[j, right]):
             in_image, in_space = 0.0, 0.0
             for i in range(5):
-                off = max(box[i, 0] - matches[i, m], matches[i, m] - box[i, 1], 0.0)
+                off = max(box[i, 0] - matches[m, i], matches[m, i] - box[i, 1], 0.0)
                 if i < 2:
                     in_image += off * off
                 else:
@@ -111,9 +112,9 @@ def _gather(
     whole = -(-count // _LANES) * _LANES if count else 0
     for k in range(count, whole):
         chosen[k] = chosen[count - 1]
-    for i in range(len(matches)):
+    for i in range(matches.shape[1]):
         for k in range(whole):
-            near[i, k] = matches[i, chosen[k]]
+            near[i, k] = matches[chosen[k], i]
     for k in range(count, whole):
         near[6, k] = -1.0  # a region that no pixel has: these only fill the last instruction
     return whole
@@ -128,7 +129,7 @@ def blend_rows(
     """Add up matches for `blend_matches`, of rows start .. stop.
 
     Matches are sorted into square cells of `side`: those of cells (j, i) to (j, m) are `first[j, i]` up to
-    `first[j, m + 1]`. Each is a column: x, y, where it lies in space, one over the sum of its variances, its
+    `first[j, m + 1]`. Each is a row: x, y, where it lies in space, one over the sum of its variances, its
     region, both variances, 12 numbers of its warp, and what of the sum of its variances is noise. `variance`
     and `scatter` (2, rows, columns) become the weighted means of the matches' own variances, and of the
     squares by which they differ about the pixel; `images_part` the part of the former that is noise, and
@@ -136,7 +137,7 @@ def blend_rows(
     """
     cells = int(np.ceil(reach / side))
     scale = (1.0 / footprint**2, 0.5 / reach**2)
-    near, chosen = np.empty((len(matches), 256)), np.empty(256, dtype=np.int64)
+    near, chosen = np.empty((matches.shape[1], _ROOM)), np.empty(_ROOM, dtype=np.int64)
     box = np.empty((5, 2))
     sums = np.empty(10)
     for row in range(start // side, (stop - 1) // side + 1):
@@ -155,7 +156,8 @@ def blend_rows(
                         _box_of_cell(xyz, labels, own_rows, own_columns, box)
                         count = _gather(matches, first, row, column, cells, box, scale, chosen, near)
                         if count > near.shape[1]:
-                            near, chosen = np.empty((len(matches), 2 * count)), np.empty(2 * count, np.int64)
+                            near = np.empty((matches.shape[1], 2 * count + _LANES))
+                            chosen = np.empty(near.shape[1], dtype=np.int64)
                             count = _gather(matches, first, row, column, cells, box, scale, chosen, near)
                     place = (xyz[0, r, c], xyz[1, r, c], xyz[2, r, c])
                     _weighted_sums(near, count, (c, r, labels[r, c]), place, scale, sums)

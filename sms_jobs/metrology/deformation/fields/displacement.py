@@ -216,9 +216,7 @@ def blend_matches(
     at = xyz[:, y, x]
     whole = own_variance.sum(axis=0)
     of_images = whole if points.noise_part is None else points.noise_part[order] * whole
-    matches = np.concatenate(
-        [[x, y], at, [1.0 / whole, points.region[order]], own_variance, warp, [of_images]]
-    )
+    matches = np.column_stack([x, y, *at, 1.0 / whole, points.region[order], *own_variance, *warp, of_images])
 
     def work(start: int, stop: int) -> None:
         blend_rows(
