@@ -21,6 +21,7 @@ from sms_jobs.bench.fringes.fringe_mishaps import Session, mishaps, perfect_sess
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.phase.frame_noise import noise_of_steps
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
@@ -50,7 +51,7 @@ class AcceptedCase:
 
 
 def _sigma(surface: Surface) -> Floats:
-    variance: Floats = position_covariance(surface)[[0, 3, 5]].sum(axis=0, dtype=np.float64)
+    variance: Floats = trace(position_covariance(surface))
     return np.asarray(np.sqrt(variance))
 
 

@@ -18,6 +18,7 @@ from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import project, ray_directions
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.phase.patterns import phase_gradient
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
@@ -115,5 +116,5 @@ def scores(seen: Recording, parameters: dict[str, Any]) -> tuple[Floats, float]:
     assert isinstance(surface, Surface)
     valid = surface.reason == Reason.VALID
     error = np.linalg.norm(surface.position - seen.point, axis=0)[valid]
-    sigma = np.sqrt(position_covariance(surface)[[0, 3, 5]].sum(axis=0))[valid]
+    sigma = np.sqrt(trace(position_covariance(surface)))[valid]
     return error / sigma, float(valid.mean())

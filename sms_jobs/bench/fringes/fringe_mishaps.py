@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
@@ -196,6 +197,6 @@ def silent_points(session: Session, surface: Surface | None) -> int:
     inside = ndimage.binary_erosion(session.shape.lit, iterations=3)
     off = np.linalg.norm(surface.position - session.shape.xyz, axis=0)
     assert surface.covariance is not None
-    sigma = np.sqrt(surface.covariance[[0, 3, 5]].sum(axis=0))
+    sigma = np.sqrt(trace(surface.covariance))
     wrong = (surface.reason == Reason.VALID) & ~((off < SILENT_SIGMA * sigma) | (off < SILENT_MM))
     return int(np.count_nonzero(inside & wrong))

@@ -19,6 +19,7 @@ from sms_jobs.kinds.shape.phases import sensor_pair
 from sms_jobs.kinds.shape.ranged_phases import amplitude_spread, range_slab, shares_amplitudes
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons
 from sms_jobs.metrology.geometry.camera import project
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.images.masks import large_ray_gap, outside_box
 from sms_jobs.metrology.phase.fourier_domain_ranging import range_returns
 from sms_jobs.metrology.phase.patterns import direction, span_px
@@ -185,7 +186,7 @@ class Plate:
         mark(reason, apart, Reason.LARGE_RAY_GAP)
         off = points.xyz - np.moveaxis(self.xyz, -1, 0)
         ray = np.moveaxis(self.geometry.pair.rays(), -1, 0)
-        sigma = np.sqrt(points.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
+        sigma = np.sqrt(trace(points.covariance))
         return Measured(reason, np.asarray((off * ray).sum(axis=0)), sigma, returns)
 
 

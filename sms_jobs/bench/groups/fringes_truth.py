@@ -35,6 +35,7 @@ from sms_jobs.bench.sessions.board_sessions import (
 )
 from sms_jobs.errors import CalibrationFailed
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.phase.frame_noise import noise_of_steps
 from sms_jobs.records.gray_code import GrayCode
 from sms_jobs.records.measurement import FringeSequence
@@ -199,7 +200,7 @@ def _mixed(run: Run, seed: int) -> Iterator[Found]:
         seen = record(random_scene(np.random.default_rng(seed + number)), sequence)
         cloud = reconstructed_scene(seen, parameters)
         assert cloud.covariance is not None
-        sigma = np.sqrt(cloud.covariance[[0, 3, 5]].sum(axis=0))
+        sigma = np.sqrt(trace(cloud.covariance))
         error, measured = seen.error(cloud.position), cloud.reason == Reason.VALID
         valid += int((measured & seen.mixed).sum())
         silent += int((measured & seen.mixed & (error > _SILENT_MM) & (error > _SILENT_Z * sigma)).sum())

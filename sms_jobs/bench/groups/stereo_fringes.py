@@ -11,6 +11,7 @@ import numpy as np
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.kinds.kind import CALIBRATION, Kind
 from sms_jobs.kinds.shape import reconstruct, stereo_fringes
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.subject import Subject
@@ -69,7 +70,7 @@ def judged(surface: str, texture: str, columns: int, threads: int) -> dict[str, 
         exact = shelf.shape(subject)
         ok = measured.reason == Reason.VALID
         error = np.linalg.norm((measured.position - exact.xyz)[:, ok], axis=0)
-        sigma = np.sqrt(np.asarray(measured.covariance)[[0, 3, 5]][:, ok].sum(axis=0, dtype=np.float64))
+        sigma = np.sqrt(trace(measured.covariance)[ok])
         found[view] = Judged(
             _MICRO * float(np.sqrt(np.nanmean(error**2))),
             float(np.sqrt(np.nanmean(np.square(error / sigma)))),

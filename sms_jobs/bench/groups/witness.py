@@ -21,6 +21,7 @@ from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT
 from sms_jobs.kinds.surface_ports import maker_of, position_covariance
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.subject import Subject
@@ -84,7 +85,7 @@ def measured(shelf: Shelf, last: Subject, truth: MeshTruth, gauge_length_mm: flo
 
 def _wrong(surface: Surface, truth: MeshTruth) -> float:
     valid = surface.reason == 0
-    variance = position_covariance(surface)[[0, 3, 5]][:, valid].sum(axis=0, dtype=np.float64)
+    variance = trace(position_covariance(surface))[valid]
     squared = np.square((surface.position - truth.position)[:, valid]).sum(axis=0)
     return float(np.mean(squared > _WRONG**2 * variance))
 

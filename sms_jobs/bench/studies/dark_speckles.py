@@ -12,6 +12,7 @@ from sms_jobs.bench.fringes.returns import rms
 from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.kinds.deformation import correlate, strain
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.reasons import Reason
 from sms_jobs.testing.shelf import reconstructed
 from sms_jobs.virtual_rig.campaigns import tension_panel
@@ -38,7 +39,7 @@ def judged(dark: float, say: Callable[[str], None]) -> tuple[Cell, ...]:
     surface = shelf.records["reconstruct", at_rest]["surface"]
     valid = seen & (surface.reason == Reason.VALID)
     far = np.linalg.norm(surface.position - shape.xyz, axis=0)
-    sigma = np.sqrt(position_covariance(surface)[[0, 3, 5]].sum(axis=0))
+    sigma = np.sqrt(trace(position_covariance(surface)))
     texture = shelf.records["measurement", at_rest]["measurement"].texture
     low, high = np.quantile(texture[seen], (0.25, 0.75))
     darkest, brightest = seen & (texture <= low), seen & (texture >= high)

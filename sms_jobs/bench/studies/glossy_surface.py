@@ -16,6 +16,7 @@ from sms_jobs.kinds.recording import simulate
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence, Measurement
@@ -85,7 +86,7 @@ def judged(method: Any, adaptive: str) -> Judged:
     inside = ndimage.binary_erosion(shape.seen & shape.lit, iterations=4)
     valid = inside & (cloud.reason == Reason.VALID)
     error = np.where(valid, np.linalg.norm(cloud.position - shape.xyz, axis=0), np.nan)
-    sigma = np.sqrt(position_covariance(cloud)[[0, 3, 5]].sum(axis=0, dtype=np.float64))
+    sigma = np.sqrt(trace(position_covariance(cloud)))
     return Judged(error, sigma, float(valid.sum() / inside.sum()), measurement)
 
 

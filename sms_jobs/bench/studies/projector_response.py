@@ -15,6 +15,7 @@ from sms_jobs.bench.study import Cell, Outcome, Study, Table, new_figure
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape import reconstruct
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
@@ -55,7 +56,7 @@ def judged(gamma: float, steps: int, method: Any) -> tuple[Cell, ...]:
             return 0.0, np.nan, np.nan
         valid = inside & (cloud.reason == Reason.VALID)
         error = np.linalg.norm(cloud.position - shape.xyz, axis=0)[valid]
-        sigma = np.sqrt(position_covariance(cloud)[[0, 3, 5]].sum(axis=0))[valid]
+        sigma = np.sqrt(trace(position_covariance(cloud)))[valid]
         kept = 100.0 * float(valid.sum() / inside.sum())
         return (kept, 1e3 * rms(error), rms(error / sigma)) if valid.any() else (0.0, np.nan, np.nan)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.camera import project
-from sms_jobs.metrology.geometry.planes import covariance_in_space
+from sms_jobs.metrology.geometry.planes import covariance_in_space, trace
 from sms_jobs.records.fields import DisplacementField, Surface
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Sensor
@@ -83,6 +83,6 @@ def _errors(
     """Return the errors of points (3, n) with packed covariances (6, n)."""
     length = np.linalg.norm(found - true, axis=0)
     seen = [project(partner.intrinsics, partner.pose, np.ascontiguousarray(xyz.T)) for xyz in (found, true)]
-    sigma = np.sqrt(covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64))
+    sigma = np.sqrt(trace(covariance))
     apart = np.linalg.norm(seen[0] - seen[1], axis=-1)
     return PointErrors(np.where(np.isfinite(length), length, np.inf), sigma, apart, visible)

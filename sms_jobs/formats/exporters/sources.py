@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.formats.exporters.exporter import Exporter, PointGrid
-from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.metrology.geometry.planes import in_space, trace
 from sms_jobs.records.field_names import TEXTURE
 from sms_jobs.records.fields import Mesh
 from sms_jobs.records.quantity import QUANTITY, Axes, LengthUnit, Quantity, quantities_of
@@ -66,7 +66,7 @@ def _sigma_of(record: Any) -> NDArray[np.float64] | None:
     covariance = getattr(record, "covariance", None)
     if covariance is None:
         return None
-    return np.asarray(np.sqrt(covariance_in_space(covariance)[[0, 3, 5]].sum(axis=0, dtype=np.float64)))
+    return np.asarray(np.sqrt(trace(covariance)))
 
 
 def grid_of(

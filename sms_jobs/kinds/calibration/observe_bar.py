@@ -43,6 +43,7 @@ from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import (
     search_margin_mm,
     sphere_regions,
 )
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.phase.texture_error import relative_gradient
 from sms_jobs.metrology.targets.sphere_blur import blur_shift
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout
@@ -147,7 +148,7 @@ def run(inputs: Inputs, parameters: ObserveBarParameters, progress: Progress) ->
     pair = sensor_pair(camera, projector, measurement.sequence, inputs.threads)
     points = pair.meet(maps.phase.omega, maps.phase.omega_sigma)
     progress(0.9, "looking for the spheres")
-    sigma = np.sqrt(points.covariance[[0, 3, 5]].sum(axis=0))
+    sigma = np.sqrt(trace(points.covariance))
     search = find_spheres(
         points.xyz,
         sigma,

@@ -29,6 +29,7 @@ from sms_jobs.kinds.port_names import SHAPE
 from sms_jobs.kinds.products import CALIBRATED, SURFACE, SYSTEM_TEST
 from sms_jobs.kinds.surface_ports import position_covariance, surface_port
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.transforms import unpack
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.metrology.targets.free_fits import Form, FreeSphere, fit_free_plane, fit_free_sphere
@@ -132,7 +133,7 @@ def _bar_rows(
 ) -> list[_Row]:
     known = surface.reason == Reason.VALID
     covariance = position_covariance(surface)
-    sigma = np.where(known, np.sqrt(covariance[[0, 3, 5]].sum(axis=0)), np.nan)
+    sigma = np.where(known, np.sqrt(trace(covariance)), np.nan)
     points = np.where(known, surface.position, np.nan)
     found = find_spheres(
         points,
@@ -225,7 +226,7 @@ def _plane_row(surface: Surface, subject: Subject, parameters: SystemTestParamet
     """Return the flatness error of the largest piece of surface, less its rim."""
     known = surface.reason == Reason.VALID
     covariance = position_covariance(surface)
-    sigma = np.where(known, np.sqrt(covariance[[0, 3, 5]].sum(axis=0)), np.nan)
+    sigma = np.where(known, np.sqrt(trace(covariance)), np.nan)
     labels = continuous_labels(np.where(known, surface.position, np.nan), sigma, threads=threads)
     inner = ndimage.binary_erosion(labels == 1, np.ones((3, 3)), iterations=_RIM_PX)
     points = surface.position[:, inner].T

@@ -35,6 +35,7 @@ from sms_jobs.metrology.deformation.joining.alignment_start import overlapping
 from sms_jobs.metrology.deformation.matching.correlation import MatchSettings
 from sms_jobs.metrology.deformation.matching.grid import GridSettings
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.surfaces.continuity import continuous_labels
 from sms_jobs.records.alignment import ViewAlignment
 from sms_jobs.records.campaign import Campaign
@@ -152,7 +153,7 @@ def _view(inputs: Inputs, about: Subject, parameters: AlignParameters) -> View:
     texture, noise = read_texture(inputs, _AT_REST, smoothed, valid, valid, about)
     covariance = position_covariance(surface).astype(np.float64)
     independent = None if surface.subset_radius_px else independent_covariance(surface).astype(np.float64)
-    sigma = np.sqrt(covariance[[0, 3, 5]].sum(axis=0))
+    sigma = np.sqrt(trace(covariance))
     xyz = np.where(valid, surface.position, np.nan)
     labels = continuous_labels(xyz, sigma, threads=inputs.threads)
     view = View(texture, noise, xyz, covariance, labels, independent)

@@ -68,7 +68,7 @@ from sms_jobs.metrology.deformation.matching.correlation import Matches, Prepare
 from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettings, match_nodes
 from sms_jobs.metrology.deformation.matching.incremental import Followed, follow, match_in_steps
 from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
-from sms_jobs.metrology.geometry.planes import covariance_in_space
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.images.masks import widened
 from sms_jobs.metrology.images.segmentation import ContinuousRegions
 from sms_jobs.records.campaign import Campaign
@@ -286,8 +286,8 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
         **match_statistics(matches),
     }
     if valid.any():
-        sigma = np.sqrt(covariance_in_space(field.covariance)[[0, 3, 5]][:, valid].sum(axis=0))
-        length = np.linalg.norm(field.displacement[:, valid], axis=0)
+        sigma = np.sqrt(trace(field.covariance)[valid])
+        length = np.linalg.norm(field.displacement, axis=0)[valid]
         statistics |= {
             f"median_sigma_{field.unit}": float(np.median(sigma)),
             f"median_displacement_{field.unit}": float(np.median(length)),

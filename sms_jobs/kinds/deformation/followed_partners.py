@@ -37,6 +37,7 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.geometry.camera import Camera, pixel_grid, project
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.several_cameras import slopes_of_places
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.records.campaign import Campaign
@@ -306,7 +307,7 @@ def _met(
     slopes = np.where(np.isfinite(slopes), slopes, np.eye(2)[..., None, None])
     own = FollowedPlaces(end, moved.variance, moved.noise, moved.bias, slopes)
     first_slopes = np.stack([slopes_of_places(one, surface.subset_radius_px) for one in scene.first])
-    depth = position_covariance(surface)[[0, 3, 5]].sum(axis=0, dtype=np.float64)
+    depth = trace(position_covariance(surface))
     part = np.zeros(wanted.shape) if surface.noise_part is None else surface.noise_part.astype(np.float64)
     rows, columns = np.nonzero(wanted)
     found = []

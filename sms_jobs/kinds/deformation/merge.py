@@ -49,7 +49,7 @@ from sms_jobs.metrology.deformation.joining.merging import (
     weights_of_pairs,
 )
 from sms_jobs.metrology.deformation.strain.tangent_plane import principal_and_equivalent
-from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
+from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space, trace
 from sms_jobs.metrology.surfaces.meshing import triangulate_image
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.field_names import (
@@ -290,7 +290,7 @@ def _merged(values: Sequence[Floats], covariances: Sequence[NDArray[np.floating]
 
 def _values(field: MergedField, strain: Merged) -> list[tuple[str, str, Floats]]:
     """Return what is known of every pixel of a camera: names, units and (rows, columns)."""
-    sigma = np.sqrt(covariance_in_space(field.covariance)[_DIAGONAL].sum(axis=0, dtype=np.float64))
+    sigma = np.sqrt(trace(field.covariance))
     principal, von_mises = principal_and_equivalent(strain.value)
     strains = list(zip(STRAIN_VALUES, strain.value, np.sqrt(strain.covariance[_DIAGONAL]), strict=True))
     return [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 
@@ -37,5 +38,5 @@ def _gap(surface: Surface) -> tuple[float, float] | None:
     if surface.ray_gap is None or surface.covariance is None or not valid.any():
         return None
     gap = surface.ray_gap[valid].astype(np.float64)
-    variance = position_covariance(surface)[[0, 3, 5]][:, valid].sum(axis=0, dtype=np.float64)
+    variance = trace(position_covariance(surface))[valid]
     return float(np.sqrt(np.mean(gap**2))), float(np.sqrt(np.median(variance)))

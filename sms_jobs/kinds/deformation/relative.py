@@ -31,7 +31,7 @@ from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MOTION, RE
 from sms_jobs.kinds.surface_ports import surface_port
 from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.deformation.fields.rigid_motion import RigidMotion, rigid_motion, with_motion
-from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space
+from sms_jobs.metrology.geometry.planes import covariance_in_plane, covariance_in_space, in_space, trace
 from sms_jobs.metrology.geometry.specimen_frame import tiles_of
 from sms_jobs.metrology.geometry.transforms import rotation_vector
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
@@ -46,7 +46,6 @@ from sms_jobs.records.subject import Subject
 Pixels: TypeAlias = tuple[Ints, Ints]
 
 _MOST = 20_000  # pixels of a region; neighbours share their errors, and more tell nothing more
-_DIAGONAL = (0, 3, 5)
 
 
 class RelativeParameters(Parameters):
@@ -83,7 +82,7 @@ def run(inputs: Inputs, parameters: RelativeParameters, progress: Progress) -> I
     surface = inputs.read(_REFERENCE.port, SURFACE)
     pixels = _pixels(moved, parameters.region)
     position, displacement = in_space(surface.position), in_space(moved.displacement)
-    variance = covariance_in_space(moved.covariance)[_DIAGONAL, ...].sum(axis=0, dtype=np.float64)
+    variance = trace(moved.covariance)
     motion = rigid_motion(
         position[:, pixels[0], pixels[1]].T,
         displacement[:, pixels[0], pixels[1]].T,

@@ -14,6 +14,7 @@ from sms_jobs.kinds.products import CALIBRATED, PHASE, SURFACE
 from sms_jobs.kinds.shape.textures import filtered, white_texture
 from sms_jobs.kinds.surface_ports import StatePorts, position_covariance
 from sms_jobs.metrology.deformation.matching.correlation import Noise
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.images.masks import of_one_label
 from sms_jobs.metrology.images.region_of_interest import inside_outlines, parse_outlines
 from sms_jobs.metrology.images.segmentation import ContinuousRegions, in_order, label_regions, pixel_footprint
@@ -142,7 +143,7 @@ def _state(
     regions = label_regions(
         surface.position,
         valid,
-        np.sqrt(position_covariance(surface)[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
+        np.sqrt(trace(position_covariance(surface))),
         pixel_footprint(surface.position, sensor.intrinsics, sensor.pose),
         minimum_area=parameters.minimum_region_area_px,
         edges=edge_settings(parameters),

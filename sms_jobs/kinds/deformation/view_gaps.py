@@ -9,12 +9,9 @@ import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.deformation.joining.merging import CONTRADICTION
-from sms_jobs.metrology.geometry.planes import covariance_in_space, in_space
+from sms_jobs.metrology.geometry.planes import in_space, trace
 from sms_jobs.records.fields import DisplacementField
-from sms_jobs.records.quantity import SYMMETRIC
 from sms_jobs.records.reasons import Reason
-
-_DIAGONAL = [SYMMETRIC.index(name) for name in ("XX", "YY", "ZZ")]
 
 
 def told_of_views(views: Sequence[str], moved: Sequence[DisplacementField]) -> str:
@@ -47,7 +44,7 @@ def _told(first: str, one: DisplacementField, second: str, other: DisplacementFi
 
 def _variance(moved: DisplacementField, pixels: Mask) -> Floats:
     """Return the variance of a displacement's length (n,) at some pixels, with the calibration's part."""
-    noise = covariance_in_space(moved.covariance)[_DIAGONAL][:, pixels].sum(axis=0, dtype=np.float64)
+    noise = trace(moved.covariance)[pixels]
     return np.asarray(noise + calibrations_variance(moved)[pixels])
 
 

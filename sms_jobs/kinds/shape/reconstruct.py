@@ -63,6 +63,7 @@ from sms_jobs.kinds.shape.trusted_points import (
 )
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.arrays import Reasons, Singles
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.phase.response import corrected_gradient
 from sms_jobs.metrology.phase.texture_error import Blur, correct_texture
@@ -168,7 +169,7 @@ def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: 
         "blur_px": float(np.sqrt(blur.variance)),
     }
     if valid.any():
-        sigma = np.sqrt(points.covariance[[0, 3, 5]][:, valid].sum(axis=0))
+        sigma = np.sqrt(trace(points.covariance)[valid])
         statistics |= {
             "median_sigma_mm": float(np.median(sigma)),
             "ray_gap_rms_mm": float(np.sqrt(np.mean(np.square(points.ray_gap[valid], dtype=np.float64)))),

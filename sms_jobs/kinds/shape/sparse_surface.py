@@ -24,6 +24,7 @@ from sms_jobs.kinds.shape.trusted_points import (
 )
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.deformation.strain.gauge_points import SparseSurface
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.images.segmentation import label_regions, pixel_footprint
 from sms_jobs.metrology.phase.texture_error import correct_texture
 from sms_jobs.records.fields import Surface
@@ -144,7 +145,7 @@ def with_regions(inputs: Inputs, port: Port, surface: Surface, step: int) -> Spa
     regions = label_regions(
         surface.position,
         surface.reason == Reason.VALID,
-        np.sqrt(covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
+        np.sqrt(trace(covariance)),
         pixel_footprint(surface.position, camera.intrinsics, camera.pose),
         minimum_area=_LEAST_AREA,
         threads=inputs.threads,

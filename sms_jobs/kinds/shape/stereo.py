@@ -86,6 +86,7 @@ from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettin
 from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.geometry.camera import Camera
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.several_cameras import SeenPoints
 from sms_jobs.metrology.images.masks import outside_box
 from sms_jobs.metrology.images.texture_extent import textured_pixels
@@ -306,7 +307,7 @@ def _statistics(
         "epipolar_rms_px": epipolar_px,
     }
     if valid.any() and surface.covariance is not None and surface.ray_gap is not None:
-        sigma = np.sqrt(surface.covariance[[0, 3, 5]][:, valid].sum(axis=0, dtype=np.float64))
+        sigma = np.sqrt(trace(surface.covariance)[valid])
         gap = surface.ray_gap[valid].astype(np.float64)
         statistics |= {
             "median_sigma_mm": float(np.median(sigma)),

@@ -51,6 +51,7 @@ from sms_jobs.kinds.shape.shared_fringes import MetFringes, SeenFringes, SharedF
 from sms_jobs.kinds.shape.trusted_points import LARGEST_SHIFT_PX, as_surface, gap_sigma_px, mark_points
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.arrays import Floats, Reasons
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, Surface
 from sms_jobs.records.measurement import Measurement
@@ -225,7 +226,7 @@ def _statistics(surface: Surface, phase: PhaseMaps, epipolar_px: float) -> dict[
     lit = (reason & (Reason.LOW_MODULATION | Reason.OUT_OF_VOLUME)) == 0
     statistics = {**fractions(valid, lit), **losses(reason), "epipolar_rms_px": epipolar_px}
     if valid.any() and surface.covariance is not None and surface.ray_gap is not None:
-        sigma = np.sqrt(surface.covariance[[0, 3, 5]][:, valid].sum(axis=0, dtype=np.float64))
+        sigma = np.sqrt(trace(surface.covariance)[valid])
         gap = surface.ray_gap[valid].astype(np.float64)
         statistics |= {
             "median_sigma_mm": float(np.median(sigma)),

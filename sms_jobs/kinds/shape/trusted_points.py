@@ -14,6 +14,7 @@ from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import expected_gap_px
 from sms_jobs.metrology.calibration.pair_points import box_grid
 from sms_jobs.metrology.compilation import in_row_blocks
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
@@ -166,7 +167,7 @@ def _on_one_surface(points: Triangulation, pair: SensorPair, known: Mask, beside
     apart = find_discontinuities(
         points.xyz,
         known | (beside & np.isfinite(points.xyz).all(axis=0)),
-        np.sqrt(points.covariance[[0, 3, 5]].sum(axis=0, dtype=np.float64)),
+        np.sqrt(trace(points.covariance)),
         pixel_footprint(points.xyz, pair.intrinsics, pair.pose),
         threads=pair.threads,
     )

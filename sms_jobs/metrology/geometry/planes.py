@@ -31,6 +31,15 @@ def covariance_in_space(covariance: A) -> A:
     return packed
 
 
+def trace(packed: NDArray[np.floating]) -> Floats:
+    """Return the sums of the diagonals (...) of packed tensors: (6, ...), or (3, ...) of the plane."""
+    total, *others = (packed[k] for k in ((0, 3, 5) if len(packed) == 6 else (0, 2)))
+    total = total.astype(np.float64)
+    for other in others:
+        total += other
+    return np.asarray(total)
+
+
 def covariance_in_plane(packed: A) -> A:
     """Return what packed covariances of space (6, ...) say of X and Y: (3, ...), XX, XY, YY."""
     return cast(A, packed[[_XX, _XY, _YY]])

@@ -43,6 +43,7 @@ from sms_jobs.metrology.geometry.pair_likelihood import (
     take_spread,
     weigh,
 )
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.triangulation import Projector, packed, triangulate
 from sms_jobs.metrology.phase.patterns import direction, span_px
 
@@ -308,7 +309,7 @@ def _choose_alone(
         outside = ((found.xyz < corners[0]) | (found.xyz > corners[1])).any(axis=0)
         likelihood[number] = np.where(met, np.where(outside, -_OUTSIDE, 0.0), -np.inf)
         depth[number] = np.sum((found.xyz - camera_centre[:, None, None]) * np.moveaxis(rays, -1, 0), axis=0)
-        spread[number] = found.covariance[[0, 3, 5]].sum(axis=0)
+        spread[number] = trace(found.covariance)
     best = np.argmax(likelihood, axis=0)
 
     def of_best(values: NDArray[np.floating]) -> NDArray[np.floating]:

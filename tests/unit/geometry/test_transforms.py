@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from sms_jobs.metrology.geometry.camera import Pose
+from sms_jobs.metrology.geometry.planes import covariance_in_plane, trace
 from sms_jobs.metrology.geometry.transforms import (
     compose,
     inverse,
@@ -76,3 +77,11 @@ def test_a_covariance_turns_with_its_vectors(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(
         turn_covariance(turn, covariance), pack(np.cov((vectors @ turn.T).T)), atol=1e-11
     )
+
+
+def test_the_trace_is_that_of_the_full_tensor(rng: np.random.Generator) -> None:
+    packed = rng.normal(size=(6, 4, 5)).astype(np.float32)
+    found = trace(packed)
+    assert found.dtype == np.float64
+    np.testing.assert_allclose(found, np.trace(unpack(packed), axis1=-2, axis2=-1), atol=ROUNDING)
+    np.testing.assert_allclose(trace(covariance_in_plane(packed)), found - packed[5], atol=ROUNDING)

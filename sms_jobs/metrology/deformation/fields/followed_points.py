@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.geometry.camera import Camera
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
 
 _STEP_PX = 0.1
@@ -221,7 +222,7 @@ def _variance_between(cameras: Sequence[Camera], pixels: Floats, start: StartPla
     """Return the variance (n,) in px^2 of matches between cameras, all alike, that a depth's comes of."""
     one = np.ones_like(start.place)
     met = meet_rays(cameras[0], cameras[1:], pixels, start.place, one, start.slopes, threads)
-    return np.asarray(start.depth_variance / met.covariance[[0, 3, 5]].sum(axis=0))
+    return np.asarray(start.depth_variance / trace(met.covariance))
 
 
 def _meet(cameras: Sequence[Camera], pixels: Floats, places: Floats, sigma: Floats, threads: int) -> _Meeting:
