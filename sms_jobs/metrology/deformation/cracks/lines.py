@@ -112,8 +112,14 @@ def crack_lines(
     height[~told] = 0.0
     if np.count_nonzero(height > least) < _LEAST_LENGTH * radius * _THICK:
         return none
-    ridge = _ridge(height, least, radius)
-    ridge = _with_quiet_sides(ridge, height, displacement, variance + verified.bias, known, labels, radius)
+    part = grown(box_of(told), int(_TRUNCATED * _SMOOTHED * radius) + 1)  # beyond, filters find nothing
+    in_part = np.s_[:, *part]
+    ridge = _ridge(height[part], least, radius)
+    noise = variance[in_part] + verified.bias[in_part]
+    ridge = _with_quiet_sides(
+        ridge, height[part], displacement[in_part], noise, known[part], labels[part], radius
+    )
+    ridge = replace(ridge, place=ridge.place + np.array([part[0].start, part[1].start]))
     found, least_jump = [], _least_jump(int(np.count_nonzero(told)), radius)
     for line in _lines(ridge, radius):
         if _jumps(line, radius, least_jump):
@@ -136,15 +142,16 @@ def _ridge(height: Floats, least: float, radius: int) -> _Ridge:
         * width**2
         for order in ((2, 0), (1, 1), (0, 2))
     )
+    own = smooth[rows, columns]
     half, middle = 0.5 * np.hypot(rr - cc, 2.0 * rc), 0.5 * (rr + cc)
     across, along = middle - half, middle + half
+    good = (-across > _STEEP * own) & (np.abs(along) < -_ALONG * across)
+    rr, rc, cc, own = rr[good], rc[good], cc[good], own[good]
     angle = 0.5 * np.arctan2(2.0 * rc, rr - cc) + 0.5 * np.pi  # of the least curvature, from rows to columns
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    place = np.stack([rows, columns], axis=1).astype(np.float64)
-    own = smooth[rows, columns]
+    place = np.stack([rows[good], columns[good]], axis=1).astype(np.float64)
     sides = [_at(smooth, place + sign * normal) for sign in (-1.0, 1.0)]
-    good = (-across > _STEEP * own) & (np.abs(along) < -_ALONG * across)
-    good &= (own >= sides[0]) & (own > sides[1])
+    good = (own >= sides[0]) & (own > sides[1])
     unknown = np.zeros((int(good.sum()), 2, 2))
     return _Ridge(place[good], normal[good], unknown, unknown, unknown[:, 0], unknown[:, 0])
 
