@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,14 +87,24 @@ def masked_correlation(
     else:
         overlap = np.maximum(np.rint(correlate(m1, m2)), 1.0)  # a number of pixels
         sum_f, ff = correlate(f, m2), correlate(squares, m2)
-    sum_g = correlate(m1, g)
-    var_f, var_g = ff - sum_f**2 / overlap, correlate(m1, g * g) - sum_g**2 / overlap
+    over_template = partial(_sums_over, m1.shape) if template_mask.all() else partial(correlate, m1)
+    sum_g = over_template(g)
+    var_f, var_g = ff - sum_f**2 / overlap, over_template(g * g) - sum_g**2 / overlap
     product = var_f * var_g
     met = overlap >= _LEAST_OVERLAP * count1
     # A patch without contrast has a variance of rounding errors alone, which must not be divided by.
     enough = met & (product > 1e-8 * float(np.sum(squares)) * float(np.sum(g * g)))
     correlation = correlate(f, g) - sum_f * sum_g / overlap
     return np.where(enough, correlation / np.sqrt(np.where(enough, product, 1.0)), np.float32(-1.0))
+
+
+def _sums_over(shape: tuple[int, ...], values: Singles) -> Singles:
+    """Return the sums over all rectangles (rows, columns) of a shape that lie within an image."""
+    import cv2
+
+    sums = cv2.boxFilter(values, -1, shape[::-1], normalize=False)
+    inside = tuple(slice(n // 2, whole - (n - 1) // 2) for n, whole in zip(shape, values.shape, strict=True))
+    return np.asarray(sums[inside])
 
 
 def _patch(image: Floats, row: int, column: int, half_rows: int, half_columns: int) -> tuple[Floats, Mask]:
