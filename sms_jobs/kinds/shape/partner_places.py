@@ -107,9 +107,16 @@ def _in_partner(variances: Sequence[Floats], place: Floats, lever: int) -> list[
 
     Slopes are taken over `lever` px; what has none is as large in both images.
     """
-    slopes = slopes_of_places(place, lever)
-    slopes = np.where(np.isnan(slopes), np.eye(2)[..., None, None], slopes)
-    return [np.einsum("ka...,a...->k...", slopes**2, one) for one in variances]
+    slopes = slopes_of_places(place, lever).reshape(2, 2, -1)
+    found = []
+    for one in variances:
+        flat, carried = one.reshape(2, -1), np.zeros(one.shape)
+        some = np.flatnonzero(flat[0] + flat[1] > 0.0)  # of most pixels nothing is known
+        own = slopes.take(some, axis=2)
+        own = np.where(np.isnan(own), np.eye(2)[..., None], own)
+        carried.reshape(2, -1)[:, some] = np.einsum("kan,an->kn", own**2, flat.take(some, axis=1))
+        found.append(carried)
+    return found
 
 
 def _well_inside(places: Floats, shape: tuple[int, ...], margin_px: int) -> Floats:

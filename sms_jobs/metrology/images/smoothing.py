@@ -97,6 +97,6 @@ def noise_in_windows(slope: Floats, sigma_px: float, radius: int) -> float:
             first = slope[j:, max(i, 0) : columns + min(i, 0)]
             second = slope[: rows - j, max(-i, 0) : columns + min(-i, 0)]
             twice = 2.0 if j else 1.0
-            total += twice * shared[j + 2] * shared[i + 2] * float(np.sum(first * second))
+            total += twice * shared[j + 2] * shared[i + 2] * float(np.einsum("ij,ij", first, second))
     whole = float(np.sum(slope**2))
     return total / whole if whole > 0.0 else 1.0

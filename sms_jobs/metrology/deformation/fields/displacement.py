@@ -359,6 +359,10 @@ def _carry_variances(variance: Floats, bias: Floats, slope: Floats, spread: Floa
 
 def _in_whole(field: Floats, part: tuple[slice, slice], shape: tuple[int, int]) -> Floats:
     """Return a field (.., rows, columns) of a part of an image over the whole of it, NaN beyond."""
-    whole = np.full((*field.shape[:-2], *shape), np.nan, dtype=field.dtype)
+    whole, (rows, columns) = np.empty((*field.shape[:-2], *shape), dtype=field.dtype), part
+    for beyond in (np.s_[: rows.start], np.s_[rows.stop :]):
+        whole[..., beyond, :] = np.nan
+    for beyond in (np.s_[: columns.start], np.s_[columns.stop :]):
+        whole[..., rows, beyond] = np.nan
     whole[..., *part] = field
     return whole
