@@ -20,6 +20,7 @@ from numba.core.errors import NumbaError
 
 from sms_jobs.errors import SmsError
 from sms_jobs.metrology.kernel_cache import KernelCache
+from sms_jobs.metrology.kernel_typing import load_in_order
 from sms_jobs.metrology.signatures import signature_of
 
 logger = logging.getLogger(__name__)
@@ -103,8 +104,7 @@ def compile_all(kernels: Sequence[Kernel], processes: int) -> Iterator[int]:
     """
     left = missing(kernels)
     if left:
-        # What Numba loads before it compiles anything: once, not in each process.
-        left[0].dispatcher.targetctx.refresh()
+        load_in_order()  # once, not in each process
     helpers = [_forked(left) for _ in range(min(processes, len(left)) - 1)]
     yield from _compiled(left)
     for helper in helpers:
