@@ -15,6 +15,17 @@ from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 class SelfContainedLibrary(JITCodeLibrary):
     """The machine code of a kernel, in which nobody else knows the names of the copies."""
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Optimise each function by itself, by passes that are set up once, where Numba does so for each.
+
+        Names of functions that are elsewhere, which are most of a module, have nothing to be optimised.
+        """
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
     def _finalize_final_module(self) -> None:
         if self._shared_module is None:
             # What other kernels link keeps its names, so that what comes in twice comes in once.
