@@ -10,10 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
 
 from sms_jobs.metrology.kernel_cache import cached
 from sms_jobs.metrology.kernel_linking import keep_copies_apart
@@ -58,6 +61,31 @@ def uncounted_summing_kernel(function: F) -> F:
     """Compile `function` as `summing_kernel` does, without counting arrays: see `uncounted_kernel`."""
     options = _OPTIONS | {"_nrt": False}
     return cast(F, cached(numba.njit(**options, fastmath=_REORDERED)(function)))
+
+
+class InnerKernel(CPUDispatcher):
+    """A kernel that only kernels call; see `inner`."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Compute by a kernel that calls this one, which is compiled in every process: good for tests."""
+        return self._caller(*arguments)
+
+    @cached_property
+    def _caller(self) -> Any:
+        called = self
+        return numba.njit(lambda *arguments: called(*arguments))
+
+
+def inner(compiled: F) -> F:
+    """Say that only other kernels call a kernel: `@inner` above `@kernel`, or above any other kind.
+
+    Nothing is compiled then that takes its arguments from Python, which is an eighth of compiling a kernel.
+    The package's Python may not call it (`tests/unit/test_inner_kernels.py` looks).
+    """
+    if isinstance(compiled, Dispatcher):
+        compiled.targetoptions["no_cpython_wrapper"] = True
+        cast(Any, compiled).__class__ = InnerKernel
+    return compiled
 
 
 def inlined(function: F) -> F:

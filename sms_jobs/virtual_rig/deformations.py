@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.calibration.stage.pan_tilt import stage_rotation
-from sms_jobs.metrology.compilation import uncounted_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (
     Bow,
@@ -96,6 +96,7 @@ def _affine(matrix: Floats, shift: Floats) -> Floats:
     return np.concatenate([[AFFINE], matrix.ravel(), shift, np.linalg.inv(matrix).ravel()])
 
 
+@inner
 @uncounted_kernel
 def deflection_line(s: float) -> tuple[float, float]:
     """Return f(s) = 1 - 12 s^2 + 16 |s|^3 and its slope; both are 0 beyond |s| = 1/2."""
@@ -105,6 +106,7 @@ def deflection_line(s: float) -> tuple[float, float]:
     return 1.0 + r * r * (16.0 * r - 12.0), s * (48.0 * r - 24.0)
 
 
+@inner
 @uncounted_kernel
 def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     """Return how far a disbond lifts the stringer at (x, y), and the slopes of that along x and y."""
@@ -113,6 +115,7 @@ def _lift(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     return m[1] * f * tilted, m[1] * df / m[2] * tilted, m[1] * f * m[3]
 
 
+@inner
 @uncounted_kernel
 def _height(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     """Return how far a bow moves (x, y) out, and the slopes of that along x and y."""
@@ -121,6 +124,7 @@ def _height(m: Floats, x: float, y: float) -> tuple[float, float, float]:
     return m[1] * u * u + m[2] * v * v + m[3] * u * v, along / m[6], across / m[7]
 
 
+@inner
 @uncounted_kernel
 def _over_stringer(
     m: Floats, x: float, y: float
@@ -146,6 +150,7 @@ def _over_stringer(
     )
 
 
+@inner
 @uncounted_kernel
 def _share(z: float, level: float) -> tuple[float, float]:
     """Return which part of a disbond's lift is that of material at height z, and its slope along z."""
@@ -154,6 +159,7 @@ def _share(z: float, level: float) -> tuple[float, float]:
     return (1.0, 0.0) if z >= level else (z / level, 1.0 / level)
 
 
+@inner
 @uncounted_kernel
 def carried(
     chain: Floats, x: float, y: float, z: float, nx: float, ny: float, nz: float
@@ -206,6 +212,7 @@ def carried(
     return x, y, z, nx, ny, nz
 
 
+@inner
 @uncounted_kernel
 def followed_back(
     chain: Floats, x: float, y: float, z: float, vx: float, vy: float, vz: float

@@ -12,7 +12,7 @@ from math import floor, hypot, sqrt
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import uncounted_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.scene import Surface
 from sms_jobs.virtual_rig.artefacts import axes_of
@@ -51,6 +51,7 @@ def packed_ink(surface: Surface) -> Floats:
     return ink
 
 
+@inner
 @uncounted_kernel
 def printed_reflectance(ink: Floats, a: float, b: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Return the diffuse reflectance of an artefact, averaged over a footprint about (a, b).
@@ -77,6 +78,7 @@ def printed_reflectance(ink: Floats, a: float, b: float, ax: float, ay: float, b
     return float(ink[1] + (ink[2] - ink[1]) * share)
 
 
+@inner
 @uncounted_kernel
 def disc_share(a: float, b: float, ax: float, ay: float, bx: float, by: float, radius: float) -> float:
     """Return the share of a footprint about (a, b) that a disc about (0, 0) covers.
@@ -105,6 +107,7 @@ def disc_share(a: float, b: float, ax: float, ay: float, bx: float, by: float, r
     return total / _DOT_LINES
 
 
+@inner
 @uncounted_kernel
 def _squares(ink: Floats, x: float, y: float, xu: float, xv: float, yu: float, yv: float) -> float:
     """Return the share of a footprint that dark squares cover; all in pitches, x right and y down.
@@ -127,6 +130,7 @@ def _squares(ink: Floats, x: float, y: float, xu: float, xv: float, yu: float, y
     return total
 
 
+@inner
 @uncounted_kernel
 def edge_share(x: float, xu: float, xv: float) -> float:
     """Return the share of the unit square |u|, |v| <= 1/2 where x + xu u + xv v < 0."""
@@ -140,6 +144,7 @@ def edge_share(x: float, xu: float, xv: float) -> float:
     return corner if x > 0.0 else 1.0 - corner
 
 
+@inner
 @uncounted_kernel
 def _quarter_share(x: float, y: float, xu: float, xv: float, yu: float, yv: float) -> float:
     """Return the share of the unit square where x + xu u + xv v < 0 and y + yu u + yv v < 0."""

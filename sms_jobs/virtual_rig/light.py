@@ -14,7 +14,7 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Ints, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, uncounted_kernel
 from sms_jobs.records.scene import PlateAndMirror, Simulation
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.records.views import Role
@@ -197,6 +197,7 @@ def _trace_window(
                 x[1, i, j], y[1, i, j], strength[1, i, j] = xp, yp, white * lit
 
 
+@inner
 @uncounted_kernel
 def footprint_sides(
     camera: Floats,
@@ -243,6 +244,7 @@ def footprint_sides(
     return sides
 
 
+@inner
 @uncounted_kernel
 def direct_light(
     projector: Floats,
@@ -271,6 +273,7 @@ def direct_light(
     return px, py, cosine * distance * distance / (length * length)
 
 
+@inner
 @uncounted_kernel
 def lamp_light(
     lamp: Floats,
@@ -288,6 +291,7 @@ def lamp_light(
     return float(max(cosine, 0.0) * distance * distance / (length * length))
 
 
+@inner
 @uncounted_kernel
 def mirrored_light(
     projector: Floats,

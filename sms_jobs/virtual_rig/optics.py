@@ -15,7 +15,7 @@ from math import atan2, cos, pi, sin, sqrt
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import uncounted_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 from sms_jobs.records.sensors import Sensor
 
 
@@ -35,6 +35,7 @@ def packed_sensor(sensor: Sensor) -> Floats:
     ).astype(np.float64)
 
 
+@inner
 @uncounted_kernel
 def _fisheye_height(sensor: Floats, angle: float) -> tuple[float, float]:
     """Return the height of a ray's image over the axis, in focal lengths, and its derivative by the angle."""
@@ -47,6 +48,7 @@ def _fisheye_height(sensor: Floats, angle: float) -> tuple[float, float]:
     return height, growth
 
 
+@inner
 @uncounted_kernel
 def _fisheye_point(sensor: Floats, wx: float, wy: float) -> tuple[float, float]:
     """Return the normalised point of a distorted one; NaN where no ray within 90 degrees has it."""
@@ -69,6 +71,7 @@ def _fisheye_point(sensor: Floats, wx: float, wy: float) -> tuple[float, float]:
     return r * wx / height, r * wy / height
 
 
+@inner
 @uncounted_kernel
 def pixel_ray(
     sensor: Floats, px: float, py: float, x: float, y: float
@@ -134,6 +137,7 @@ def image_point(sensor: Floats, x: float, y: float, z: float) -> tuple[float, fl
     return sensor[0] * (wx + sensor[26] * wy) + sensor[2], sensor[1] * wy + sensor[3]
 
 
+@inner
 @uncounted_kernel
 def in_image(sensor: Floats, x: float, y: float) -> bool:
     """Tell whether pixel coordinates lie on the sensor, whose edge pixels reach half a pixel out."""

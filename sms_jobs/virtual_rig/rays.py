@@ -14,7 +14,7 @@ import numpy as np
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import uncounted_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 from sms_jobs.records.scene import Deformation, PanTilt, PlateAndMirror, Rigid, Scene
 from sms_jobs.virtual_rig.deformations import (
     bending_slack,
@@ -68,6 +68,7 @@ def specimen_in(scene: Scene, deformation: tuple[Deformation, ...]) -> Specimen:
     return Specimen(patches, cutouts, chain, middle, bending_slack(deformation))
 
 
+@inner
 @uncounted_kernel
 def first_hit(
     specimen: Specimen, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, beyond: float
@@ -105,6 +106,7 @@ def first_hit(
     return best, best_patch, best_x, best_y, best_z
 
 
+@inner
 @uncounted_kernel
 def refined_hit(
     patch: Floats,
@@ -138,6 +140,7 @@ def refined_hit(
     return s, mx, my, mz, False
 
 
+@inner
 @uncounted_kernel
 def unit_to(
     ox: float, oy: float, oz: float, x: float, y: float, z: float
@@ -148,6 +151,7 @@ def unit_to(
     return dx / length, dy / length, dz / length, length
 
 
+@inner
 @uncounted_kernel
 def unobstructed(specimen: Specimen, ox: float, oy: float, oz: float, x: float, y: float, z: float) -> bool:
     """Tell whether a point on the specimen is in free sight of a point off it."""
@@ -156,6 +160,7 @@ def unobstructed(specimen: Specimen, ox: float, oy: float, oz: float, x: float, 
     return s >= length - TOUCHING_MM
 
 
+@inner
 @uncounted_kernel
 def surface_normal(
     specimen: Specimen, patch: int, mx: float, my: float, mz: float

@@ -12,7 +12,7 @@ from math import ceil, floor, pi, sqrt
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import uncounted_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 from sms_jobs.records.scene import Speckle
 from sms_jobs.virtual_rig.ink import edge_share
 
@@ -31,6 +31,7 @@ def packed_speckle(speckle: Speckle | None) -> Floats:
     return np.array([CELL_DIAMETERS * speckle.diameter_mm, speckle.dark, speckle.bright, seed])
 
 
+@inner
 @uncounted_kernel
 def scrambled(value: np.uint64) -> np.uint64:
     """Return 64 well-mixed bits of a number (the finaliser of Steele et al. 2014, SplitMix64)."""
@@ -39,6 +40,7 @@ def scrambled(value: np.uint64) -> np.uint64:
     return value ^ (value >> np.uint64(31))
 
 
+@inner
 @uncounted_kernel
 def speckle_of_cell(pattern: Floats, i: int, j: int) -> tuple[float, float, float]:
     """Return centre (a, b) and radius of the speckle in cell (i, j), in mm."""
@@ -52,6 +54,7 @@ def speckle_of_cell(pattern: Floats, i: int, j: int) -> tuple[float, float, floa
     return (i + u) * pattern[0], (j + v) * pattern[0], radius
 
 
+@inner
 @uncounted_kernel
 def reflectance(pattern: Floats, a: float, b: float, footprint: float) -> float:
     """Return the diffuse reflectance at (a, b), averaged over about `footprint` mm.

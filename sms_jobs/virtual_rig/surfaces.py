@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import uncounted_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 from sms_jobs.records.artefacts import BallBar, DotCylinder
 from sms_jobs.records.scene import (
     Cylinder,
@@ -329,6 +329,7 @@ def _plate_and_mirror(surface: PlateAndMirror) -> tuple[Patch, ...]:
     )
 
 
+@inner
 @uncounted_kernel
 def step_to_patch(
     patch: Floats, mx: float, my: float, mz: float, vx: float, vy: float, vz: float
@@ -355,6 +356,7 @@ def step_to_patch(
     return (-b - sqrt(under)) / a, True
 
 
+@inner
 @uncounted_kernel
 def patch_coordinates(patch: Floats, mx: float, my: float, mz: float) -> tuple[float, float]:
     """Return the material coordinates (a, b) of a material point on the patch, in mm."""
@@ -370,6 +372,7 @@ def patch_coordinates(patch: Floats, mx: float, my: float, mz: float) -> tuple[f
     return a * stretch, b * stretch
 
 
+@inner
 @uncounted_kernel
 def patch_normal(patch: Floats, mx: float, my: float, mz: float) -> tuple[float, float, float]:
     """Return the outward unit normal at rest at a material point on the patch."""
@@ -382,6 +385,7 @@ def patch_normal(patch: Floats, mx: float, my: float, mz: float) -> tuple[float,
     return x / patch[13], y / patch[13], z / patch[13]
 
 
+@inner
 @uncounted_kernel
 def near_patch(patch: Floats, a: float, b: float, slack: float) -> bool:
     """Tell whether (a, b) lies within the patch's limits, widened by `slack` in mm."""
@@ -392,6 +396,7 @@ def near_patch(patch: Floats, a: float, b: float, slack: float) -> bool:
     )
 
 
+@inner
 @uncounted_kernel
 def on_patch(patch: Floats, cutouts: Floats, a: float, b: float) -> bool:
     """Tell whether the patch has material at (a, b)."""

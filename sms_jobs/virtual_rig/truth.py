@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, uncounted_kernel
 from sms_jobs.records.scene import Simulation, Vector
 from sms_jobs.virtual_rig.deformations import carried_points, gradients
 from sms_jobs.virtual_rig.light import direct_light, sensor_named
@@ -201,6 +201,7 @@ def _stay(state: Simulation, sights: Floats, specimen: Specimen, ends: Floats, n
     return out
 
 
+@inner
 @uncounted_kernel
 def _before_all(
     sights: Floats, specimen: Specimen, x: float, y: float, z: float, nx: float, ny: float, nz: float

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.ranging.batch import resolve_row
 from sms_jobs.metrology.phase.ranging.batched_fit import overlap_table
@@ -97,6 +97,7 @@ def score_threshold(significance: float, count: int) -> float:
     return sqrt(max(2.0 * log(count / (sqrt(3.0) * significance)), 1.0))
 
 
+@inner
 @kernel
 def _find_returns(plan: Plan, row: Row, columns: int) -> None:
     begin_row(plan, row)

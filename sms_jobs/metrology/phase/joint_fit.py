@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.phase.frequency_search import BESIDE, WRONG_ORDER
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.phase_stepping import angle
@@ -75,6 +75,7 @@ class JointCode:
         return len(self.densities) - 3
 
 
+@inner
 @kernel
 def _refine(
     level: Floats, shown: Floats, camera: tuple[int, float, float], state: Floats, noise: Floats
@@ -126,6 +127,7 @@ def _refine(
     return float(cost)
 
 
+@inner
 @kernel
 def _likely_orders(
     level: Floats, shown: Floats, anchor: tuple[int, int], start: Floats, advance: Floats, kept: Floats
@@ -166,6 +168,7 @@ def _likely_orders(
     return count
 
 
+@inner
 @kernel
 def _fit_pixel(
     level: Floats,

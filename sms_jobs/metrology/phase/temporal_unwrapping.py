@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.phase.frequency_search import find_orders
 from sms_jobs.metrology.phase.phase_stepping import (
     add_frame,
@@ -79,6 +79,7 @@ class CoarseGradient:
     half_width: float
 
 
+@inner
 @kernel
 def _climb(
     below: Floats,
@@ -99,6 +100,7 @@ def _climb(
         worst[j] = max(worst[j], abs(residual))
 
 
+@inner
 @kernel
 def _add_to_fit(omega: Floats, t: float, power: Floats, moments: Floats) -> None:
     """Add one density of one row to the sums of B^2 t phi, B^2 t^2, B^2 and the number of densities."""
@@ -111,6 +113,7 @@ def _add_to_fit(omega: Floats, t: float, power: Floats, moments: Floats) -> None
         moments[3, j] += 1.0 if w > 0.0 else 0.0
 
 
+@inner
 @kernel
 def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares: Floats) -> None:
     """Add B^2 (phi - omega t)^2 of one density of one row."""
@@ -119,6 +122,7 @@ def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares:
         squares[j] += power[j] * residual * residual
 
 
+@inner
 @kernel
 def _finish(
     moments: Floats, squares: Floats, omega: Floats, maps: Singles, noise_variance: Floats, q: int, least: int
@@ -136,6 +140,7 @@ def _finish(
         maps[2, j] = np.sqrt(squares[j] / weight * n / (n - 1.0)) if n > 1.0 else np.nan
 
 
+@inner
 @kernel
 def _mark_ambiguous(
     worst: Floats,

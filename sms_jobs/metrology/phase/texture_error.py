@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.images.masks import at_edge
 
@@ -153,6 +153,7 @@ def roughness(brightness: Floating) -> Floats:
     return np.nan_to_num(rough, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
 
+@inner
 @kernel
 def _difference(before: float, here: float, after: float) -> float:
     """Return the slope at a pixel from valid neighbours (NaN if not); the gentler side where they disagree.

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 
 _REACH = 2  # px to the outermost pixel of a parabola, and to the outermost line
 _LIMIT = 20.0  # deviations that the five may lie off their parabola: what is farther is no bend but a step
@@ -54,6 +54,7 @@ def _bends(
                 off[row, column] = max(square - noise, 0.0)
 
 
+@inner
 @kernel
 def _nearest(bent: Floats, usable: Mask, row: int, column: int, down: int) -> tuple[int, int]:
     """Return the nearest pixel along an axis that has a bend, over usable ones; (-1, -1) if there is none."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.surfaces.triangle_surface import TriangleSurface
 
 _DEPTH = 64  # of the stack: more than any tree that fits into memory needs
@@ -40,6 +40,7 @@ class Closest:
     on_border: Mask
 
 
+@inner
 @kernel
 def _closest_on_triangle(p: Floats, t: Floats, q: Floats) -> int:
     """Write the point of triangle t (3, 3) closest to p into q (Ericson 2005, section 5.1.5).
@@ -77,6 +78,7 @@ def _closest_on_triangle(p: Floats, t: Floats, q: Floats) -> int:
     return feature
 
 
+@inner
 @kernel
 def _box_square(p: Floats, low: Floats, high: Floats) -> float:
     """Return the squared distance from p to a box."""

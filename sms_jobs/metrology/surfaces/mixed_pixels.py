@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
@@ -45,6 +45,7 @@ _NOTHING, _HELD, _ALONE, _BETWEEN = range(4)
 of the other miss it from the same side or are not there; it lies between those of both sides."""
 
 
+@inner
 @kernel
 def _plane(
     inverse: Floats, sigma: Floats, row: int, column: int, down: int, right: int, rough: float, at: Floats
@@ -96,6 +97,7 @@ def _plane(
     return bool(left_over <= rough * variance + at[2])
 
 
+@inner
 @kernel
 def _mark_steps(
     inverse: Floats, sigma: Floats, row: int, footprint: float, stepped: NDArray[np.uint8]
@@ -135,6 +137,7 @@ def _mark_steps(
             inside[j] |= fold if folded else np.uint8(0)
 
 
+@inner
 @kernel
 def _missed(
     inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, limits: Limits, at: Floats
@@ -158,6 +161,7 @@ def _missed(
     return count if off > 0.0 else -count
 
 
+@inner
 @kernel
 def _within(inverse: Floats, pixel: Pixel, down: int, right: int) -> bool:
     """Return whether the image goes on along an axis as far as planes may reach."""
@@ -166,6 +170,7 @@ def _within(inverse: Floats, pixel: Pixel, down: int, right: int) -> bool:
     return bool(r <= row < inverse.shape[0] - r and c <= column < inverse.shape[1] - c)
 
 
+@inner
 @kernel
 def _along(
     inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, limits: Limits, at: Floats
@@ -184,6 +189,7 @@ def _along(
     )
 
 
+@inner
 @kernel
 def _is_mixed(inverse: Floats, sigma: Floats, pixel: Pixel, stepped: int, limits: Limits, at: Floats) -> bool:
     """Return whether a pixel lies between surfaces along a stepped axis, or alone and not held along two."""
@@ -228,6 +234,7 @@ def _mixed_rows(
                 mixed[row, column] = _is_mixed(inverse, sigma, pixel, stepped[column], limits, at)
 
 
+@inner
 @kernel
 def _excess(
     inverse: Floats,

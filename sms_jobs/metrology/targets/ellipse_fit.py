@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.small_systems import back_substitute, factorise
 
 FITTED = 0
@@ -79,6 +79,7 @@ class FittedEllipses:
         return FittedEllipses(**parts)
 
 
+@inner
 @kernel
 def _near_edge(
     image: Singles, p: Floats, inner: float, outer: float
@@ -109,6 +110,7 @@ def _near_edge(
     return count, pixels
 
 
+@inner
 @kernel
 def _first_levels(pixels: Floats, count: int, p: Floats) -> bool:  # pragma: no cover - compiled
     """Set the levels of ground and ink to the means outside and inside; False where one has no pixel."""
@@ -129,6 +131,7 @@ def _first_levels(pixels: Floats, count: int, p: Floats) -> bool:  # pragma: no 
     return True
 
 
+@inner
 @kernel
 def _normal_equations(
     pixels: Floats, count: int, p: Floats, origin: Floats, normal: Floats, right: Floats
@@ -169,6 +172,7 @@ def _normal_equations(
     return total
 
 
+@inner
 @kernel
 def _step(
     p: Floats, size: float, variance: float, normal: Floats, right: Floats, most: float
@@ -199,6 +203,7 @@ def _step(
     return max(moved, reshaped) if scale == most else np.inf
 
 
+@inner
 @kernel
 def _fit_one(image: Singles, start: Floats, out: Floats) -> int:  # pragma: no cover - compiled
     p = np.zeros(_PARAMETERS)

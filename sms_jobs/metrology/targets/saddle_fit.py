@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.small_systems import back_substitute, factorise
 
 _PARAMETERS = 9
@@ -26,6 +26,7 @@ _SQRT_2 = math.sqrt(2.0)
 _SLOPE = math.sqrt(2.0 / math.pi)
 
 
+@inner
 @kernel
 def _normal_equations(
     image: Singles, p: Floats, middle: Floats, radius: float, normal: Floats, right: Floats
@@ -68,6 +69,7 @@ def _normal_equations(
     return total, count
 
 
+@inner
 @kernel
 def _fit_one(image: Singles, start: Floats, out: Floats) -> None:  # pragma: no cover - compiled
     p = np.zeros(_PARAMETERS)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, undistorted
 
 
+@inner
 @kernel
 def cross(a: Floats, b: Floats, result: Floats) -> None:
     """Fill result (3,) with the cross product."""
@@ -19,12 +20,14 @@ def cross(a: Floats, b: Floats, result: Floats) -> None:
     result[2] = a[0] * b[1] - a[1] * b[0]
 
 
+@inner
 @kernel
 def dot(a: Floats, b: Floats) -> float:
     """Return the scalar product of two vectors of space."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
+@inner
 @kernel
 def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
     """Fill result (3,) with -R^T T, in mm."""
@@ -32,6 +35,7 @@ def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
         result[i] = -dot(rotation[:, i], translation)
 
 
+@inner
 @kernel
 def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floats, v: Floats) -> bool:
     """Follow a pixel's ray: its direction and how it changes with the lens; say whether the lens has one.
@@ -57,6 +61,7 @@ def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floa
     return True
 
 
+@inner
 @kernel
 def to_sensor(
     rotation: Floats, translation: Floats, inner: Floats, turn: Floats, by: Floats, row: Floats
@@ -83,6 +88,7 @@ def to_sensor(
         row[PER_POSE + k] = vx * turn[0, k] + vy * turn[1, k]
 
 
+@inner
 @kernel
 def gap_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
     """Return the signed gap of two rays, and fill `by` (3, 3) with its derivatives by base, u and v.
@@ -102,6 +108,7 @@ def gap_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
     return float(gap)
 
 
+@inner
 @kernel
 def along_change(u: Floats, v: Floats, base: Floats, by: Floats) -> float:
     """Return s of the first ray's point s u that is nearest the second, and its derivatives as `gap_change`.

@@ -19,7 +19,7 @@ from sms_jobs.metrology.calibration.bundle.rays import (
     ray,
     to_sensor,
 )
-from sms_jobs.metrology.compilation import kernel, uncounted_kernel
+from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted
@@ -34,6 +34,7 @@ BOARD_SIZE = PER_SENSOR + PER_POSE + PER_BOARD
 """Parameters of a board block: the sensor's, those of the board's pose, those of the board."""
 
 
+@inner
 @kernel
 def _add(row: Floats, size: int, weight: float, white: float, normal: Floats, gradient: Floats) -> None:
     """Add one whitened residual to the lower triangle of `normal` (size, size) and to `gradient` (size,)."""
@@ -44,6 +45,7 @@ def _add(row: Floats, size: int, weight: float, white: float, normal: Floats, gr
             normal[i, j] += scaled * row[j]
 
 
+@inner
 @kernel
 def _robust(first: float, second: float, scale: Floats, huber: float) -> tuple[float, float]:
     """Return the cost and the weight of a pair of whitened residuals: half the square up to `huber`."""
@@ -79,6 +81,7 @@ def ray_distances(
     return gap, np.sqrt(square) - sphere[3]
 
 
+@inner
 @kernel
 def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats) -> tuple[float, float]:
     """Return where a ray s u meets a sphere about c, s, and the cosine of its incidence; fill derivatives.
@@ -105,6 +108,7 @@ def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats
     return middle - radius * root / length, cosine
 
 
+@inner
 @kernel
 def sphere_rows(
     rotation: Floats,
@@ -213,6 +217,7 @@ def sphere_block(
     return cost
 
 
+@inner
 @kernel
 def project_rows(
     rotation: Floats,
@@ -254,6 +259,7 @@ def project_rows(
     return True
 
 
+@inner
 @uncounted_kernel
 def wrapped_place(x: float, scale: float, radius: float) -> tuple[float, float, float, float, float, float]:
     """Return where x on a sheet about a cylinder is in space, and how that goes with pitch and radius.
@@ -267,6 +273,7 @@ def wrapped_place(x: float, scale: float, radius: float) -> tuple[float, float, 
     return radius * sine, radius * (1.0 - cosine), x * cosine, x * sine, sine - turn * cosine, by_radius
 
 
+@inner
 @kernel
 def board_rows(
     rotation: Floats,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.compilation import inner, kernel, summing_kernel
 from sms_jobs.metrology.deformation.fields.cells import Cells
 
 ROWS: Final = 18
@@ -28,6 +28,7 @@ def told_of_cells(cells: Cells) -> Floats:
     )
 
 
+@inner
 @kernel
 def gather(told: Floats, top: int, bottom: int, left: int, right: int, near: Floats) -> int:
     """Copy the squares of rows top .. bottom and columns left .. right to the first columns of `near`.
@@ -45,6 +46,7 @@ def gather(told: Floats, top: int, bottom: int, left: int, right: int, near: Flo
     return count
 
 
+@inner
 @summing_kernel
 def disc_sums(
     near: Floats, count: int, label: float, centre: tuple[float, float, float], square: float,
@@ -109,6 +111,7 @@ def disc_sums(
     sums[28], sums[29], sums[30] = nx, ny, nz
 
 
+@inner
 @kernel
 def central_moments(sums: Floats, scatter: Floats, mixed: Floats) -> None:
     """Fill the moments about the means: of position with position, and of position with displacement."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Labels
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 
 SHORTER = (0.5, 0.25)
 """Parts of the gauge length over which strain is taken besides."""
@@ -67,6 +67,7 @@ class Samples:
     shorter: tuple[tuple[Floats, Floats], ...]
 
 
+@inner
 @kernel
 def _in_disc(
     j: int, i: int, r: int, c: int, place: Floats, labels: Labels, square: float, least_cosine: float

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 
 
+@inner
 @kernel
 def _principal_axes(
     matrix: Floats,
@@ -47,6 +48,7 @@ def _principal_axes(
                     vectors[k, q] = s * a + c * b
 
 
+@inner
 @kernel
 def tangent_frame(
     scatter: Floats,

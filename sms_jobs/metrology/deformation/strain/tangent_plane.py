@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel, variable
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, variable
 from sms_jobs.metrology.deformation.fields.cells import Cells, cell_means
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.disc_sums import (
@@ -62,6 +62,7 @@ class SurfaceStrain:
     von_mises: Floats
 
 
+@inner
 @kernel
 def _slopes(frame: Floats, scatter: Floats, mixed: Floats, gradient: Floats) -> tuple[float, float, float]:
     """Fill the slopes (2, 3) of the displacement along e_x and e_y: d,a = A^-1 T^T (mixed).
@@ -84,6 +85,7 @@ def _slopes(frame: Floats, scatter: Floats, mixed: Floats, gradient: Floats) -> 
     return i00, i01, i11
 
 
+@inner
 @kernel
 def _strain_of(frame: Floats, gradient: Floats, green: bool, f: Floats) -> tuple[float, float, float]:
     """Return xx, yy and xy, and fill what e_x and e_y become, (2, 3): themselves for small strain."""
@@ -101,6 +103,7 @@ def _strain_of(frame: Floats, gradient: Floats, green: bool, f: Floats) -> tuple
     return xx, yy, xy
 
 
+@inner
 @kernel
 def _variance_of(
     f: Floats, noise: Floats, first: int, inverse: tuple[float, float, float]

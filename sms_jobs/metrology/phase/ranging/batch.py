@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.phase.ranging import batched_fit, batched_sums, reference_fit
 from sms_jobs.metrology.phase.ranging.batched_fit import (
     GAIN,
@@ -93,6 +93,7 @@ class Batch(NamedTuple):
     variance: Floats
 
 
+@inner
 @kernel
 def _new_batch(densities: int) -> Batch:
     padded = (densities + GROUP - 1) // GROUP * GROUP
@@ -109,6 +110,7 @@ def _new_batch(densities: int) -> Batch:
     )
 
 
+@inner
 @kernel
 def _load(row: Row, start: int, lanes: int, batch: Batch) -> None:
     """Take the pixels from column `start` on."""
@@ -120,6 +122,7 @@ def _load(row: Row, start: int, lanes: int, batch: Batch) -> None:
             y[t, j] = signal[1, t, np.uint64(start + j)]
 
 
+@inner
 @kernel
 def _search_left(plan: Plan, scratch: Scratch) -> None:
     """Find the peaks of what the fitted returns leave."""
@@ -127,6 +130,7 @@ def _search_left(plan: Plan, scratch: Scratch) -> None:
     find_peaks(left_x, left_y, plan.weights.search, plan.first, plan.transform, scratch.peaks)
 
 
+@inner
 @kernel
 def _fit_one(plan: Plan, batch: Batch, scratch: Scratch) -> None:
     """Fit one return to all pixels; those are resolved whose last step was small.
@@ -163,6 +167,7 @@ def _fit_one(plan: Plan, batch: Batch, scratch: Scratch) -> None:
             status[j] = DEFERRED if visible and step < _CENTRED else UNRESOLVED
 
 
+@inner
 @kernel
 def _choose_candidates(plan: Plan, batch: Batch, scratch: Scratch) -> int:
     """Start the fit of two returns where one leaves enough for another; return in how many pixels.
@@ -197,6 +202,7 @@ def _choose_candidates(plan: Plan, batch: Batch, scratch: Scratch) -> int:
     return chosen
 
 
+@inner
 @kernel
 def _fit_two(plan: Plan, steps: int, alone: bool, most: int, batch: Batch, scratch: Scratch) -> None:
     """Fit two returns to the active pixels; those that converged are resolved, the others deferred."""
@@ -249,6 +255,7 @@ def _fit_two(plan: Plan, steps: int, alone: bool, most: int, batch: Batch, scrat
         _open_thirds(plan, free, batch, scratch)
 
 
+@inner
 @kernel
 def _open_thirds(plan: Plan, free: float, batch: Batch, scratch: Scratch) -> None:
     """Open the pixels again in which two returns leave enough for a third."""
@@ -262,6 +269,7 @@ def _open_thirds(plan: Plan, free: float, batch: Batch, scratch: Scratch) -> Non
             status[j] = UNRESOLVED
 
 
+@inner
 @kernel
 def _resolve(plan: Plan, row: Row, start: int, lanes: int, batch: Batch, scratch: Scratch) -> None:
     """Resolve what can be resolved of the pixels from column `start` on."""
@@ -291,6 +299,7 @@ def _resolve(plan: Plan, row: Row, start: int, lanes: int, batch: Batch, scratch
             batch.status[j] = NONE
 
 
+@inner
 @kernel
 def _defer(source: Batch, start: int, lanes: int, target: Batch, filled: int) -> tuple[int, int]:
     """Move deferred pixels, from lane `start` on, to the next free lanes of another batch.
@@ -324,6 +333,7 @@ def _defer(source: Batch, start: int, lanes: int, target: Batch, filled: int) ->
     return lane, filled + moved
 
 
+@inner
 @kernel
 def _resolve_deferred(plan: Plan, row: Row, filled: int, batch: Batch, scratch: Scratch) -> None:
     """Resolve what can be resolved of a batch of deferred pixels, and write it to the row."""
@@ -351,6 +361,7 @@ def _resolve_deferred(plan: Plan, row: Row, filled: int, batch: Batch, scratch: 
     _write(plan, row, filled, batch)
 
 
+@inner
 @kernel
 def _write(plan: Plan, row: Row, lanes: int, batch: Batch) -> None:
     """Write pixels to their row: those that are resolved, and the first return of others."""
@@ -377,6 +388,7 @@ def _write(plan: Plan, row: Row, lanes: int, batch: Batch) -> None:
             estimates[column, i, reference_fit.SPREAD] = -2.0 * values[o + FALL] / (a * spread)
 
 
+@inner
 @kernel
 def resolve_row(plan: Plan, row: Row, begin: int, end: int) -> None:
     """Find the returns of the plain pixels of one row, columns `begin` to `end`, and write them to it."""

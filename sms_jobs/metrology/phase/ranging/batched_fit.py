@@ -19,7 +19,7 @@ from math import pi
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import summing_kernel
+from sms_jobs.metrology.compilation import inner, summing_kernel
 from sms_jobs.metrology.phase.ranging.batched_sums import (
     AMPLITUDE,
     ENTRY,
@@ -75,6 +75,7 @@ def overlap_table(densities: Floats, v: Floats) -> Floats:
     return np.where(np.arange(5) % 2, -spectra.imag, spectra.real)
 
 
+@inner
 @summing_kernel
 def _move_one(sums: Sums, s: float, estimate: Floats, registers: Singles) -> float:
     """Turn the sums into amplitude and step of omega, half a bin at most; return the largest step times s."""
@@ -94,6 +95,7 @@ def _move_one(sums: Sums, s: float, estimate: Floats, registers: Singles) -> flo
     return largest
 
 
+@inner
 @summing_kernel
 def fit_one(
     x: Singles,
@@ -131,6 +133,7 @@ def fit_one(
     subtract_one(flat_x, flat_y, weights, estimate, room)
 
 
+@inner
 @summing_kernel
 def _look_up(overlaps: Floats, pair: Floats, registers: Singles) -> None:
     """Write C, T and K from their series about the nearest entry of the table."""
@@ -160,6 +163,7 @@ def _look_up(overlaps: Floats, pair: Floats, registers: Singles) -> None:
         pair[_CURVE + j] = curve - e * (third + 0.5 * e * fourth)
 
 
+@inner
 @summing_kernel
 def _move_two(sums: Sums, s: float, pair: Floats, registers: Singles) -> None:
     """Solve the normal equations for a step of both returns, omega by half a bin at most, and go there."""
@@ -193,6 +197,7 @@ def _move_two(sums: Sums, s: float, pair: Floats, registers: Singles) -> None:
         pair[SIZE + AMPLITUDE + j] += more - less
 
 
+@inner
 @summing_kernel
 def _write_variance(sums: Sums, pair: Floats) -> None:
     """Write the variance of a_i omega_i for unit noise."""
@@ -204,12 +209,14 @@ def _write_variance(sums: Sums, pair: Floats) -> None:
         pair[VARIANCE + j] = (v - over) * even + (v + over) * odd
 
 
+@inner
 @summing_kernel
 def is_done(step_times_s: float, gain: float, variance: float) -> bool:
     """Tell whether a step of two returns was the last one that a pixel needs."""
     return bool(step_times_s < _DONE or gain < _NEGLIGIBLE * variance)
 
 
+@inner
 @summing_kernel
 def _expect_alone(sums: Sums, pair: Floats, registers: Singles) -> None:
     """Write the sums of a return where it fits alone, but for the small last step that is left of that."""
@@ -218,6 +225,7 @@ def _expect_alone(sums: Sums, pair: Floats, registers: Singles) -> None:
         registers[IN_QUADRATURE + j] = 0.0
 
 
+@inner
 @summing_kernel
 def fit_two(
     x: Singles,

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import inlined, summing_kernel
+from sms_jobs.metrology.compilation import inlined, inner, summing_kernel
 from sms_jobs.metrology.phase.ranging.transform import LANES
 from sms_jobs.metrology.phase.ranging.weights import Weights
 
@@ -70,6 +70,7 @@ class Room(NamedTuple):
     left_y: Singles
 
 
+@inner
 @summing_kernel
 def new_room(padded: int) -> Room:
     """Return room for the fits of a batch of so many densities, a multiple of `GROUP`."""
@@ -93,6 +94,7 @@ def half_turn(angle: float) -> tuple[float, float]:
     return c * c - s * s, 2.0 * c * s
 
 
+@inner
 @summing_kernel
 def turn_by_group(estimate: Floats) -> None:
     """Turn the running exp(i omega t) by a group of densities."""
@@ -102,6 +104,7 @@ def turn_by_group(estimate: Floats) -> None:
         estimate[SINE + j] = s * estimate[GROUP_COSINE + j] + c * estimate[GROUP_SINE + j]
 
 
+@inner
 @summing_kernel
 def write_pairs(x: Singles, y: Singles, u: Singles, pairs: Singles) -> None:
     """Write sums and differences of u z for densities that lie alike about the middle of their group.
@@ -123,6 +126,7 @@ def write_pairs(x: Singles, y: Singles, u: Singles, pairs: Singles) -> None:
                 pairs[p + np.uint64(3 * LANES)] = im - other_im
 
 
+@inner
 @summing_kernel
 def start_pairs(first: int, estimate: Floats, registers: Singles) -> None:
     """Set exp(i omega t) to the middle of the first group, and exp(i omega k) of its pairs; sums to 0.
@@ -187,6 +191,7 @@ def _add_pairs(
     registers[r + IN_QUADRATURE] += (middle * im + far_im) * c - (middle * re + far_re) * s
 
 
+@inner
 @summing_kernel
 def project(pairs: Singles, first: int, estimate: Floats, registers: Singles) -> None:
     """Sum Re u z exp(-i omega t) and Im u t z exp(-i omega t) from the pairs of `write_pairs`."""
@@ -201,6 +206,7 @@ def project(pairs: Singles, first: int, estimate: Floats, registers: Singles) ->
         turn_by_group(estimate)
 
 
+@inner
 @summing_kernel
 def project_two(pairs: Singles, first: int, pair: Floats, registers: Singles) -> None:
     """Do what `project` does for both returns, reading the pairs once."""
@@ -255,6 +261,7 @@ def _leave_of_one(
         registers[IN_QUADRATURE + j] += fall
 
 
+@inner
 @summing_kernel
 def subtract_one(x: Singles, y: Singles, weights: Weights, estimate: Floats, room: Room) -> None:
     """Write what a return leaves of signals, which are flat; sum squares and fall of that."""
@@ -310,6 +317,7 @@ def _leave_of_two(
         pair[SIZE + FALL + j] += other_fall
 
 
+@inner
 @summing_kernel
 def subtract_two(x: Singles, y: Singles, weights: Weights, pair: Floats, room: Room) -> None:
     """Do what `subtract_one` does for both returns at once; the squares are those of the first."""

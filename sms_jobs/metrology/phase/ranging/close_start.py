@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.compilation import inner, kernel, summing_kernel
 from sms_jobs.metrology.phase.ranging.batched_sums import (
     AMPLITUDE,
     COSINE,
@@ -67,6 +67,7 @@ def grid(densities: Floats, v: Floats, padded: int) -> Grid:
     return Grid(places, turns, shares)
 
 
+@inner
 @summing_kernel
 def _start_rotors(first: int, estimate: Floats, registers: Singles) -> None:
     """Set exp(i omega t) to the first density, and what turns it by one and by `_RUN` densities."""
@@ -83,6 +84,7 @@ def _start_rotors(first: int, estimate: Floats, registers: Singles) -> None:
         estimate[GROUP_SINE + j] = s
 
 
+@inner
 @summing_kernel
 def _turn_back(
     x: Singles, y: Singles, u: Singles, estimate: Floats, registers: Singles, re: Singles, im: Singles
@@ -100,6 +102,7 @@ def _turn_back(
         turn_by_group(estimate)
 
 
+@inner
 @summing_kernel
 def _sum_turned(part: Singles, rows: int, turns: Singles, out: Singles) -> None:
     """Write the sum over the rows of a flat part, each times its turn."""
@@ -113,6 +116,7 @@ def _sum_turned(part: Singles, rows: int, turns: Singles, out: Singles) -> None:
             out[j] += total
 
 
+@inner
 @summing_kernel
 def _keep_better(
     values: Singles, i: int, k: int, even: float, odd: float, best: Singles, which: NDArray[np.int32]
@@ -128,6 +132,7 @@ def _keep_better(
         which[j] = code if better else which[j]
 
 
+@inner
 @kernel
 def start_close(
     x: Singles,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.phase.ranging.reference_fit import AMPLITUDE, OMEGA
 from sms_jobs.metrology.phase.ranging.row import Row
 from sms_jobs.metrology.phase.ranging.signal import Sequence, uniform_steps
@@ -132,6 +132,7 @@ def ghost_level(amplitude: Singles, response: Response, densities: tuple[float, 
     return np.asarray(np.sqrt(0.25 * steps * power * light))
 
 
+@inner
 @kernel
 def take_out_ghosts(ghosts: Ghosts, first: int, recorded: Singles, row: Row) -> None:
     """Write to the signal of a row what was recorded less the ghosts of its returns.

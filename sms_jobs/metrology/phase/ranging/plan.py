@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.phase.ranging.close_start import Grid
 from sms_jobs.metrology.phase.ranging.transform import Transform
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
@@ -52,6 +52,7 @@ class Plan(NamedTuple):
     grid: Grid
 
 
+@inner
 @kernel
 def freedom(first: int, densities: int, returns: int) -> float:
     """Return the degrees of freedom that a number of returns leave a pixel of so many densities.
@@ -61,12 +62,14 @@ def freedom(first: int, densities: int, returns: int) -> float:
     return float(2 * densities - (1 if first == 0 else 0) - 2 * returns)
 
 
+@inner
 @kernel
 def is_excessive(threshold: float, free: float, variance: float, squares: float) -> bool:
     """Tell whether the weighted sum of squares of what is left of a pixel is too much for noise."""
     return bool(squares - variance * free > threshold * np.sqrt(2.0 * free) * variance)
 
 
+@inner
 @kernel
 def may_hold_another(threshold: float, free: float, variance: float, squares: float, score: float) -> bool:
     """Tell whether what is left of a pixel may hold a return: a high peak, or too much of everything.

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import inlined, summing_kernel
+from sms_jobs.metrology.compilation import inlined, inner, summing_kernel
 from sms_jobs.metrology.phase.ranging.weights import Sums, Weights
 
 # Columns of estimates, (returns, 4): omega, amplitude, variance of omega for unit noise, variance inside.
@@ -64,6 +64,7 @@ class Fit(NamedTuple):
     best: Floats
 
 
+@inner
 @summing_kernel
 def new_fit(returns: int, padded: int) -> Fit:
     """Return the buffers of a fit."""
@@ -125,6 +126,7 @@ def _overlap(a: Singles, b: Singles, v: Singles) -> tuple[float, float, float]:
     return float(over), float(shift), float(curve)
 
 
+@inner
 @summing_kernel
 def power(z: Singles, precision: Singles) -> float:
     """Return sum w |z|^2."""
@@ -148,6 +150,7 @@ def _subtract(z: Singles, transfer: Singles, estimates: Floats, fit: Fit) -> Non
                 residual[part, t] -= amplitude * transfer[t] * rotors[i, part, t]
 
 
+@inner
 @summing_kernel
 def subtract(z: Singles, transfer: Singles, first: int, estimates: Floats, fit: Fit) -> None:
     """Write rotors of returns, and what these leave of a signal, to the buffers of a fit."""
@@ -265,6 +268,7 @@ def copy_estimates(source: Floats, target: Floats, n: int) -> None:
             target[i, k] = source[i, k]
 
 
+@inner
 @summing_kernel
 def fit_returns(
     z: Singles, weights: Weights, sums: Sums, first: int, variance: float, estimates: Floats, fit: Fit
@@ -323,6 +327,7 @@ def fit_returns(
     return max(lowest, 0.0)
 
 
+@inner
 @summing_kernel
 def write_spread(weights: Weights, sums: Sums, estimates: Floats, fit: Fit) -> None:
     """Write the variance of omega inside each return, whose residual is that of `subtract`.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.phase.ranging.plan import Plan, freedom
 from sms_jobs.metrology.phase.ranging.reference_fit import AMPLITUDE, COLUMNS, OMEGA, SPREAD, VARIANCE
 from sms_jobs.metrology.phase.ranging.transform import wrapped
@@ -91,6 +91,7 @@ def new_row(returns: int, densities: int, columns: int) -> Row:
     )
 
 
+@inner
 @kernel
 def begin_row(plan: Plan, row: Row) -> None:
     """Take nothing of the pixels of a row for known but the variance of their signal."""
@@ -100,6 +101,7 @@ def begin_row(plan: Plan, row: Row) -> None:
         row.variance[column] = plan.variance + plan.slope * row.levels[0, column]
 
 
+@inner
 @kernel
 def write_row(plan: Plan, row: Row, maps: Maps, index: int) -> None:
     """Write the pixels of a row to the maps, strongest return first, NaN where there is no further one."""

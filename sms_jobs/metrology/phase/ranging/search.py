@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
-from sms_jobs.metrology.compilation import inlined, kernel
+from sms_jobs.metrology.compilation import inlined, inner, kernel
 from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS, Plan, freedom, may_hold_another
 from sms_jobs.metrology.phase.ranging.reference_fit import (
     AMPLITUDE,
@@ -75,6 +75,7 @@ class Buffers(NamedTuple):
     fit: Fit
 
 
+@inner
 @kernel
 def _new_buffers(plan: Plan, returns: int) -> Buffers:
     padded = plan.weights.search.size
@@ -93,6 +94,7 @@ def _new_buffers(plan: Plan, returns: int) -> Buffers:
     )
 
 
+@inner
 @kernel
 def _load(row: Row, lanes: int, buffers: Buffers) -> None:
     """Take the signals of some pixels from their row."""
@@ -199,6 +201,7 @@ def _leave(residual: Singles, j: int, buffers: Buffers) -> None:
         buffers.y[t, j] = residual[1, t]
 
 
+@inner
 @kernel
 def _begin(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
     """Begin the search of some pixels with what their known returns leave."""
@@ -216,6 +219,7 @@ def _begin(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
         _leave(buffers.fit.residual, j, buffers)
 
 
+@inner
 @kernel
 def _search(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
     """Search some pixels for returns until none of them has a further one."""
@@ -243,6 +247,7 @@ def _search(plan: Plan, row: Row, lanes: int, buffers: Buffers) -> None:
             row.returns[column] = 0
 
 
+@inner
 @kernel
 def search_row(plan: Plan, row: Row, begin: int, end: int) -> None:
     """Find the further returns of the pixels that are not resolved, columns `begin` to `end`; write them."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.phase.phase_stepping import stepping_weights
 
 Window = Literal["none", "hann", "hamming"]
@@ -126,6 +126,7 @@ def window_weights(window: Window, sequence: Sequence, *, known_origin: bool) ->
     return np.asarray(floors[window] + (1.0 - floors[window]) * raised)
 
 
+@inner
 @kernel
 def _add_pair(
     frames: NDArray[Any], row: int, a: int, b: int, wa: float, wb: float, signal: Singles, i: int
@@ -136,6 +137,7 @@ def _add_pair(
         signal[i, j] += p * np.float32(frames[a, row, j]) + q * np.float32(frames[b, row, j])
 
 
+@inner
 @kernel
 def _add_frames(
     frames: NDArray[Any], row: int, start: int, stop: int, table: Floats, x: Singles, y: Singles, i: int
@@ -151,12 +153,14 @@ def _add_frames(
         _add_pair(frames, row, a, b, table[a, 2], share * table[b, 2], y, i)
 
 
+@inner
 @kernel
 def _add_power(x: Singles, y: Singles, i: int, levels: Singles) -> None:
     for j in range(x.shape[1]):
         levels[1, j] += x[i, j] * x[i, j] + y[i, j] * y[i, j]
 
 
+@inner
 @kernel
 def _add_levels(
     frames: NDArray[Any], row: int, start: int, stop: int, levels: Singles, highest: NDArray[Any]
@@ -170,6 +174,7 @@ def _add_levels(
             highest[j] = max(highest[j], frames[a, row, j])
 
 
+@inner
 @kernel
 def _add_four(
     frames: NDArray[Any], row: int, a: int, table: Floats, x: Singles, y: Singles, i: int, levels: Singles
@@ -190,6 +195,7 @@ def _add_four(
         levels[1, j] += re * re + im * im
 
 
+@inner
 @kernel
 def _highest_of_four(frames: NDArray[Any], row: int, a: int, highest: NDArray[Any]) -> None:
     """Write the highest level of four frames."""
@@ -199,6 +205,7 @@ def _highest_of_four(frames: NDArray[Any], row: int, a: int, highest: NDArray[An
         )
 
 
+@inner
 @kernel
 def _finish_density(
     highest: NDArray[Any],

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Singles
-from sms_jobs.metrology.compilation import uncounted_summing_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_summing_kernel
 from sms_jobs.metrology.phase.ranging.reference_fit import factorize, substitute, write_rotors
 
 DECIDED = 2.0 * log(1e4)  # in chi-square: odds of 10^4, as of fringe orders
@@ -126,6 +126,7 @@ def new_room(size: int) -> Room:
     )
 
 
+@inner
 @uncounted_summing_kernel
 def _write_columns(omega: float, model: Model, by_omega: Singles, light: Singles, turns: Singles) -> None:
     """Write what a return of amplitude 1 shows, with its ghosts, and the derivative of that by omega."""
@@ -147,6 +148,7 @@ def _write_columns(omega: float, model: Model, by_omega: Singles, light: Singles
             by_omega[1, t] += change * minus * turns[0, t]
 
 
+@inner
 @uncounted_summing_kernel
 def _misfit(model: Model, solution: Floats, room: Room) -> float:
     """Return chi-square of the signal, and write the columns and what the returns leave of it."""
@@ -163,6 +165,7 @@ def _misfit(model: Model, solution: Floats, room: Room) -> float:
     return float(total)
 
 
+@inner
 @uncounted_summing_kernel
 def _off(solution: Floats, told: Floats, told_sigma: Floats) -> float:
     """Return chi-square of the amplitudes."""
@@ -170,6 +173,7 @@ def _off(solution: Floats, told: Floats, told_sigma: Floats) -> float:
     return float(one * one + two * two)
 
 
+@inner
 @uncounted_summing_kernel
 def _add_column(i: int, solution: Floats, room: Room) -> None:
     """Write a row of the normal matrix and of the right-hand side, but for the amplitudes' own."""
@@ -191,6 +195,7 @@ def _add_column(i: int, solution: Floats, room: Room) -> None:
     normal[2], normal[3] = scale * on_r, scale * on_s
 
 
+@inner
 @uncounted_summing_kernel
 def _write_equations(solution: Floats, told: Floats, told_sigma: Floats, room: Room) -> None:
     """Write the normal matrix and the right-hand side, from what `_misfit` wrote."""
@@ -202,6 +207,7 @@ def _write_equations(solution: Floats, told: Floats, told_sigma: Floats, room: R
         room.slope[2 + k] += precision * (told[k] - solution[2 + k])
 
 
+@inner
 @uncounted_summing_kernel
 def _fit(
     model: Model, told: Floats, told_sigma: Floats, enough: float, solution: Floats, room: Room
@@ -241,6 +247,7 @@ def _fit(
     return lowest
 
 
+@inner
 @uncounted_summing_kernel
 def _write_sigma(room: Room, sigma: Floats) -> None:
     """Write the standard deviations of both omega from the equations."""
@@ -254,6 +261,7 @@ def _write_sigma(room: Room, sigma: Floats) -> None:
             sigma[k] = np.sqrt(room.step[k])
 
 
+@inner
 @uncounted_summing_kernel
 def _distance(model: Model, told: Floats, room: Room) -> float:
     """Return the distance, of those to start from, at which both amplitudes together fall as z does."""
@@ -272,6 +280,7 @@ def _distance(model: Model, told: Floats, room: Room) -> float:
     return float(model.apart[best])
 
 
+@inner
 @uncounted_summing_kernel
 def _fit_sides(model: Model, known: Known, n: int, solved: Solved, room: Room) -> None:
     """Fit the n-th pixel, whose signal and weight are written, on either side."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Singles
-from sms_jobs.metrology.compilation import summing_kernel
+from sms_jobs.metrology.compilation import inner, summing_kernel
 
 LANES = 64
 
@@ -63,6 +63,7 @@ class Transform(NamedTuple):
     factors: Singles
 
 
+@inner
 @summing_kernel
 def new_peaks(length: int) -> Peaks:
     """Return room for the peaks of transforms of a length N."""
@@ -101,12 +102,14 @@ def transform_of(length: int) -> Transform:
     )
 
 
+@inner
 @summing_kernel
 def wrapped(angle: float) -> float:
     """Return an angle in -pi .. pi."""
     return float(angle - 2.0 * pi * np.rint(angle * (0.5 / pi)))
 
 
+@inner
 @summing_kernel
 def _butterflies(rows: Singles, n: int) -> None:
     """Transform neighbouring rows: what a number of stages that is odd begins with."""
@@ -122,6 +125,7 @@ def _butterflies(rows: Singles, n: int) -> None:
             rows[k + _IMAGINARY] = yi - xi
 
 
+@inner
 @summing_kernel
 def _first_stages(rows: Singles, n: int) -> None:
     """Transform every four rows, whose twiddles are 1 and -i."""
@@ -142,6 +146,7 @@ def _first_stages(rows: Singles, n: int) -> None:
             rows[o], rows[o + _IMAGINARY] = kr - gi, ki + gr
 
 
+@inner
 @summing_kernel
 def _transform(rows: Singles, n: int, butterflies: Ints, factors: Singles) -> None:
     """Transform n rows in place from bit-reversed order: H_k = sum z_m exp(-2 pi i k m / N).
@@ -180,6 +185,7 @@ def _transform(rows: Singles, n: int, butterflies: Ints, factors: Singles) -> No
             rows[e], rows[e + _IMAGINARY] = kr - gr, ki - gi
 
 
+@inner
 @summing_kernel
 def _combine(x: Singles, y: Singles, m: int, wx: float, wy: float, rows: Singles, place: int) -> None:
     """Add wx x_m + wy y_m to a place of the rows."""
@@ -190,6 +196,7 @@ def _combine(x: Singles, y: Singles, m: int, wx: float, wy: float, rows: Singles
         rows[target + n] += p * x[source + n] + q * y[source + n]
 
 
+@inner
 @summing_kernel
 def _combine_two(
     x: Singles,
@@ -221,6 +228,7 @@ def _combine_two(
         rows[that + n + _IMAGINARY] = (d * p - b * q) + (e * t - g * r)
 
 
+@inner
 @summing_kernel
 def _keep_highest(values: NDArray[np.int32], n: int, best: NDArray[np.int32]) -> None:
     """Keep the highest of 2 n rows, the bits of single floats, with its place in the lowest bits.
@@ -241,6 +249,7 @@ def _keep_highest(values: NDArray[np.int32], n: int, best: NDArray[np.int32]) ->
             best[j] = max(best[j], max(low, high))
 
 
+@inner
 @summing_kernel
 def _take_places(n: int, best: NDArray[np.int32], values: Singles, where: NDArray[np.int32]) -> None:
     """Split what `_keep_highest` kept into value and place."""
@@ -250,6 +259,7 @@ def _take_places(n: int, best: NDArray[np.int32], values: Singles, where: NDArra
         bits[j] = best[j] & np.int32(-2 * n)
 
 
+@inner
 @summing_kernel
 def _interpolate(peaks: Peaks) -> None:
     """Write omega and height of the peaks between their samples.
@@ -275,6 +285,7 @@ def _interpolate(peaks: Peaks) -> None:
         height[j] = here / (1.0 - u * u / 6.0 * (1.0 - u * u / 20.0))
 
 
+@inner
 @summing_kernel
 def find_peaks(
     x: Singles,

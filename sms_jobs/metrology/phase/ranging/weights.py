@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 
 
 class Weights(NamedTuple):
@@ -76,6 +76,7 @@ def new_weights(padded: int) -> Weights:
     )
 
 
+@inner
 @kernel
 def leave_out(weights: Weights, lost: NDArray[np.uint8], kept: Weights) -> None:
     """Write to `kept` the weights without the densities that are not 0 in `lost`, (densities,)."""
