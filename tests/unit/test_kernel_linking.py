@@ -8,8 +8,10 @@ import textwrap
 import numba
 import numpy as np
 import pytest
+from numba.core.codegen import JITCPUCodegen
 
 from sms_jobs.metrology import compilation
+from sms_jobs.metrology.kernel_linking import SelfContainedLibrary
 
 _COLUMNS = 5
 _MATCHED = textwrap.dedent(
@@ -68,6 +70,21 @@ def test_nobody_else_calls_the_copies_that_a_kernel_has_of_others():
     assert copies
     assert {one.linkage.name for one in copies} == {"internal"}
     assert not [one.name for one in functions if one.linkage.name == "linkonce_odr"]
+
+
+def test_the_passes_for_single_functions_are_set_up_once_a_module(monkeypatch):
+    made, modules = [], []
+    passes, optimised = JITCPUCodegen._function_pass_manager, SelfContainedLibrary._optimize_functions
+    monkeypatch.setattr(
+        JITCPUCodegen, "_function_pass_manager", lambda self: made.append(self) or passes(self)
+    )
+    monkeypatch.setattr(
+        SelfContainedLibrary,
+        "_optimize_functions",
+        lambda self, module: modules.append(len(list(module.functions))) or optimised(self, module),
+    )
+    numba.njit(lambda values, sums: _moments(values, sums))(np.ones((3, 4)), np.zeros((5, 5)))
+    assert 0 < len(made) == len(modules) < sum(modules)
 
 
 @pytest.mark.long
