@@ -6,7 +6,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.geometry import lens
 
 _NEWTON_STEPS = 12
@@ -25,6 +25,7 @@ _plainly_distorted = kernel(lens.plainly_distorted)
 _plainly_by_point = kernel(lens.plainly_by_point)
 
 
+@inner
 @kernel
 def _finished(lens: Floats, slopes: tuple[float, float, float, float], result: Floats) -> bool:
     """Fill in the derivatives of a point from those of its distortion; say whether it is within the fold."""
@@ -35,6 +36,7 @@ def _finished(lens: Floats, slopes: tuple[float, float, float, float], result: F
     return determinant > 0.0  # beyond a fold the picture is turned over
 
 
+@inner
 @kernel
 def _bent_undistorted(lens: Floats, u: float, v: float, result: Floats) -> bool:
     """Do what `undistorted` does for a lens that is not plain."""
@@ -52,6 +54,7 @@ def _bent_undistorted(lens: Floats, u: float, v: float, result: Floats) -> bool:
     return False
 
 
+@inner
 @kernel
 def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
     """Turn a pixel into result = (x, y, dx/du, dx/dv, dy/du, dy/dv), normalised; say whether it converged.

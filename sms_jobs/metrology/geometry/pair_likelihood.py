@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Singles
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.geometry.lens_kernels import undistorted
 from sms_jobs.metrology.geometry.triangulation import closest, closest_change, turned
 
@@ -28,12 +28,14 @@ class Combination(NamedTuple):
     inner: Floats
 
 
+@inner
 @kernel
 def new_combination(orientations: int) -> Combination:
     """Return room for a combination."""
     return Combination(np.empty(orientations), np.empty(orientations), np.empty(orientations), np.empty(8))
 
 
+@inner
 @kernel
 def split(combination: int, counts: Ints, which: Ints) -> None:
     """Turn the number of a combination into a return of each orientation, the last counting fastest."""
@@ -42,6 +44,7 @@ def split(combination: int, counts: Ints, which: Ints) -> None:
         combination //= counts[k]
 
 
+@inner
 @kernel
 def take(
     omega: Floats, sigma: Singles, amplitude: Singles, which: Ints, place: tuple[int, int], one: Combination
@@ -54,6 +57,7 @@ def take(
         one.strength[k] = amplitude[k, which[k], row, column]
 
 
+@inner
 @kernel
 def take_spread(
     omega: Floats,
@@ -84,6 +88,7 @@ def take_spread(
     return True
 
 
+@inner
 @kernel
 def _disagreement(strength: Floats, sigma: Floats, density_rms: float, tolerance: float) -> float:
     """Return the chi-square of the logarithms of a combination's amplitudes about their weighted mean."""
@@ -98,6 +103,7 @@ def _disagreement(strength: Floats, sigma: Floats, density_rms: float, tolerance
     return max(square - mean * mean / weight_sum, 0.0)
 
 
+@inner
 @kernel
 def weigh(
     u: Vector,
@@ -145,6 +151,7 @@ def weigh(
     return likelihood, gap, point[0] * u[0] + point[1] * u[1] + point[2] * u[2], deep
 
 
+@inner
 @kernel
 def runner_up(
     best: int, likelihood: Floats, depth: Floats, variance: Floats, count: int, one_place: float

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, projection_jacobian, ray_directions
 from sms_jobs.metrology.geometry.lens import Intrinsics
 from sms_jobs.metrology.geometry.lens_kernels import undistorted
@@ -97,16 +97,19 @@ def packed(
     return centres, projector.intrinsics.vector(), matrix, projector.pose.matrix()
 
 
+@inner
 @kernel
 def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
+@inner
 @kernel
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+@inner
 @kernel
 def closest(u: Vector, v: Vector, base: Vector, towards: float) -> tuple[Vector, float]:
     """Find the point between two rays, relative to the first ray's origin, and the signed gap.
@@ -125,6 +128,7 @@ def closest(u: Vector, v: Vector, base: Vector, towards: float) -> tuple[Vector,
     return point, _dot(base, n) / np.sqrt(square)
 
 
+@inner
 @kernel
 def closest_change(u: Vector, v: Vector, base: Vector, towards: float, dv: Vector) -> tuple[Vector, float]:
     """Return the derivatives of what `closest` returns when v changes by dv."""
@@ -143,6 +147,7 @@ def closest_change(u: Vector, v: Vector, base: Vector, towards: float, dv: Vecto
     return change, base_dn / np.sqrt(square) - base_n * n_dn / (square * np.sqrt(square))
 
 
+@inner
 @kernel
 def turned(turn: Floats, x: float, y: float, z: float) -> Vector:
     """Bring a direction of the projector's frame into the world: the transposed rotation times it."""

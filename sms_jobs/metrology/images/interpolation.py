@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 
 
+@inner
 @kernel
 def _cubic_weights(
     s: float,
@@ -30,6 +31,7 @@ def _cubic_weights(
     slopes[3] = (3.0 * s * s - 1.0) / 6.0
 
 
+@inner
 @kernel
 def _plane_weights(
     labels: Labels,
@@ -84,6 +86,7 @@ def _plane_weights(
     return True
 
 
+@inner
 @kernel
 def _end_label(
     labels: Labels,

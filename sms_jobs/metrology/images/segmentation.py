@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, inner, kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
@@ -135,6 +135,7 @@ def _square(x: float, y: float, z: float) -> float:
     return x * x + y * y + z * z
 
 
+@inner
 @kernel
 def _slopes_of_five(xyz: Floats, valid: Mask, row: int, axis: int, slope: Floats, whole: Mask) -> None:
     """Fill (columns,) which pixels of a row have two valid ones on either side, and the slope of all five."""
@@ -197,6 +198,7 @@ def surface_gradient(xyz: Floats, valid: Mask, half_width: int = 2, threads: int
     return gradient
 
 
+@inner
 @kernel
 def _look_closer(
     xyz: Floats, valid: Mask, sigma: Floats, limit: Floats, row: int, down: int, right: int, closer: Mask

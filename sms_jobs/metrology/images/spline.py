@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.compilation import (
     inlined,
+    inner,
     kernel,
     summing_kernel,
     uncounted_summing_kernel,
@@ -71,6 +72,7 @@ _QUINTIC_TAPS = np.array(
 _LANES = 8  # points that one instruction may take
 
 
+@inner
 @kernel
 def _mirrored_sum(image: Floats, pole: float, column: int) -> float:
     """Return the sum of pole^k times the numbers of a column that is mirrored at both ends, for ever."""
@@ -262,6 +264,7 @@ def _quintic_stretch(
         values[k] = total * _PER_14400
 
 
+@inner
 @uncounted_summing_kernel
 def _quintic_points(
     flat: Floats, columns: int, start: int, stop: int, taps: Floats,
@@ -296,6 +299,7 @@ def _quintic_points(
         values[k] = total * _PER_14400
 
 
+@inner
 @kernel
 def _cubic_taps(a: float, local: bool) -> tuple[float, float, float, float]:
     """Return six times the weights of four coefficients at 0 <= a <= 1 past the second, or of four pixels.
@@ -317,6 +321,7 @@ def _cubic_taps(a: float, local: bool) -> tuple[float, float, float, float]:
     )
 
 
+@inner
 @uncounted_summing_kernel
 def _cubic_points(
     flat: Floats, columns: int, local: bool, count: int, first: Ints, s: Floats, t: Floats, values: Floats
@@ -369,6 +374,7 @@ def _reach(first: Ints, start: int) -> tuple[int, int, int]:
     return stop - start, low, high
 
 
+@inner
 @uncounted_summing_kernel
 def _quintic_values(
     flat: Floats, columns: int, count: int, taps: Floats, first: Ints, s: Floats, t: Floats, values: Floats

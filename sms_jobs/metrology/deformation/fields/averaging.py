@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel, uncounted_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 
 OUTLIER = 5.0
 """Standard deviations beyond which a pixel is no part of the surface around it."""
 
 
+@inner
 @uncounted_kernel
 def _gather_disc(
     r: int, c: int, labels: Labels, weight: Floats, radius: float, place: Ints, w: Floats
@@ -31,6 +32,7 @@ def _gather_disc(
     return n
 
 
+@inner
 @uncounted_kernel
 def _fit_shares(r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats) -> bool:
     """Fill each pixel's shares (n, 3) in the value and slopes at (c, r) of a plane fitted with weights w."""
@@ -64,6 +66,7 @@ def _fit_shares(r: int, c: int, n: int, place: Ints, w: Floats, shares: Floats) 
     return True
 
 
+@inner
 @uncounted_kernel
 def _drop_outliers(
     r: int,

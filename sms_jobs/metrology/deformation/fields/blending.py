@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import kernel, summing_kernel
+from sms_jobs.metrology.compilation import inner, kernel, summing_kernel
 
 _LANES = 8  # matches that one instruction may take
 _ROOM = 264  # matches: of a power of 2, all rows would want the same lines of a core's cache
@@ -13,6 +13,7 @@ _BEYOND = 1.0 + 1e-9
 """Squared distance, in those of the reach, from which on a match weighs nothing however it is rounded."""
 
 
+@inner
 @summing_kernel
 def _weighted_sums(
     near: Floats, count: int, pixel: tuple[int, int, int], place: tuple[float, float, float],
@@ -58,6 +59,7 @@ def _weighted_sums(
     sums[5], sums[6], sums[7], sums[8], sums[9] = u_squares, v_squares, u_noise, v_noise, of_images
 
 
+@inner
 @kernel
 def _box_of_cell(
     xyz: Floats, labels: Labels, rows: tuple[int, int], columns: tuple[int, int], box: Floats
@@ -77,6 +79,7 @@ def _box_of_cell(
                     box[2 + i, 1] = xyz[i, r, c]
 
 
+@inner
 @kernel
 def _gather(
     matches: Floats, first: Ints, row: int, column: int, cells: int, box: Floats, scale: tuple[float, float],

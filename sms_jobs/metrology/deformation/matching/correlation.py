@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
 from sms_jobs.metrology.deformation.matching.normal_matrix import invert
 from sms_jobs.metrology.deformation.matching.shape_functions import (
     PARAMETERS,
@@ -204,6 +204,7 @@ def _prepared(
     )
 
 
+@inner
 @kernel
 def _eliminate_light(
     count: int, f_mean: float, ff: float, terms: int, hessian: Floats, j1: Floats, jf: Floats
@@ -219,6 +220,7 @@ def _eliminate_light(
             hessian[i, j] -= j1[i] * j1[j] / count + jf[i] * jf[j] / ff
 
 
+@inner
 @kernel
 def _invert_for(order: int, hessian: Floats, inverse: Floats) -> bool:
     """Invert the normal matrix of the unknowns of an order; the inverse is zero for anything else."""
@@ -233,6 +235,7 @@ def _invert_for(order: int, hessian: Floats, inverse: Floats) -> bool:
     return regular
 
 
+@inner
 @kernel
 def _movement(step: Floats, n: int, box: Ints, levels: Floats) -> float:
     """Return the rms movement of a subset's pixels by a step, in px; at most, where it is quadratic."""
@@ -246,6 +249,7 @@ def _movement(step: Floats, n: int, box: Ints, levels: Floats) -> float:
     return float(np.sqrt(square))
 
 
+@inner
 @kernel
 def _refine(
     subset: tuple[int, int, int, Floats, Floats, Floats, Floats, Floats, Ints],

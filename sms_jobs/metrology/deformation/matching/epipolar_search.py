@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncounted_summing_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, inner, kernel, uncounted_summing_kernel
 from sms_jobs.metrology.deformation.matching.seeding import block_means
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.several_cameras import depths_in_box, plane_warps, points_along_rays
@@ -88,6 +88,7 @@ def _grey_level(image: Floats, x: float, y: float) -> float:
     return float(upper + t * (lower - upper))
 
 
+@inner
 @uncounted_summing_kernel
 def _sums_of_whole(
     template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
@@ -127,6 +128,7 @@ def _sees_all(
     return own and along and place[1] >= down and place[1] + down < rows - 1
 
 
+@inner
 @kernel
 def _sums_of_part(
     template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int
@@ -160,6 +162,7 @@ def _sums_of_part(
     return whole, n, sf, sg, sff, sgg, sfg
 
 
+@inner
 @kernel
 def _score(
     template: Floats, image: Floats, x: float, y: float, place: Floats, slope: Floats, half: int

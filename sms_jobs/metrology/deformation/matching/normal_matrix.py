@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import inner, kernel
 
 
+@inner
 @kernel
 def invert(matrix: Floats, inverse: Floats) -> bool:
     """Invert a small positive definite matrix by Cholesky's method; return False where it is not one.

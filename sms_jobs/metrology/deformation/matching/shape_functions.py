@@ -15,7 +15,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints
-from sms_jobs.metrology.compilation import kernel, uncounted_summing_kernel
+from sms_jobs.metrology.compilation import inner, kernel, uncounted_summing_kernel
 from sms_jobs.metrology.images.spline import PADDING
 
 ShapeOrder: TypeAlias = Literal[0, 1, 2]
@@ -27,6 +27,7 @@ WARP: Final = 12
 """Numbers of a warp of any order."""
 
 
+@inner
 @kernel
 def warped(warp: Floats, x: float, y: float) -> tuple[float, float]:
     """Return the displacement of a subset's pixel at (x, y) from its centre, in px."""
@@ -36,6 +37,7 @@ def warped(warp: Floats, x: float, y: float) -> tuple[float, float]:
     return u, v
 
 
+@inner
 @kernel
 def inside(
     warp: Floats, cx: int, cy: int, left: int, right: int, top: int, bottom: int, rows: int, columns: int,
@@ -61,6 +63,7 @@ def inside(
     return True
 
 
+@inner
 @uncounted_summing_kernel
 def places(
     warp: Floats, order: int, cx: int, cy: int, columns: int, count: int, dx: Floats, dy: Floats,
@@ -94,6 +97,7 @@ def places(
         first[k] = (np.int64(row) - 2) * columns + column - 2
 
 
+@inner
 @kernel
 def _bend(warp: Floats, ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
     """Return the second derivative of a warp along (ax, ay) and (bx, by)."""
@@ -103,6 +107,7 @@ def _bend(warp: Floats, ax: float, ay: float, bx: float, by: float) -> tuple[flo
     return u, v
 
 
+@inner
 @kernel
 def compose_inverse(warp: Floats, step: Floats) -> None:
     """Replace the warp W(p) by W(p) o W(step)^-1, exactly to the order of the warps at the subset's centre.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import inlined, kernel, uncounted_summing_kernel
+from sms_jobs.metrology.compilation import inlined, inner, kernel, uncounted_summing_kernel
 from sms_jobs.metrology.deformation.matching.shape_functions import inside
 
 _FLAT = 0.01  # determinant below which a subset is seen edge-on: nothing is known of its blur
@@ -46,6 +46,7 @@ def blurred_more(
     return float(0.25 * (xx * along_x + 2.0 * xy * across + yy * along_y))
 
 
+@inner
 @kernel
 def collect(
     reference: Floats, gradient_x: Floats, gradient_y: Floats, labels: Labels, cx: int, cy: int, radius: int,
@@ -123,6 +124,7 @@ def collect(
 # Sums are local numbers, not elements of an array: only then are several pixels added at a time.
 
 
+@inner
 @uncounted_summing_kernel
 def _slope_sums(
     count: int, weight: Floats, f: Floats, x: Floats, y: Floats, order: int, sums: Floats
@@ -156,6 +158,7 @@ def _slope_sums(
         sums[9], sums[10], sums[11] = 0.5 * sf, sfx, 0.5 * sfy
 
 
+@inner
 @uncounted_summing_kernel
 def _product_sums(count: int, a: Floats, b: Floats, x: Floats, y: Floats, order: int, h: Floats) -> None:
     """Fill the sums of a b x^i y^j, i + j up to 2 or to 4: (0, 0), (1, 0), (0, 1), (2, 0), (1, 1) .."""
@@ -201,6 +204,7 @@ _PLACE_U = np.array([0, 1, 2, 6, 7, 8])  # of the terms of u in a warp, and of v
 _PLACE_V = np.array([3, 4, 5, 9, 10, 11])
 
 
+@inner
 @kernel
 def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -> None:
     """Spread sums of x^i y^j, as `_product_sums` has them, over a block of the normal matrix."""
@@ -212,6 +216,7 @@ def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -
             hessian[columns[n], rows[m]] = value
 
 
+@inner
 @uncounted_summing_kernel
 def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> None:
     """Fill the sums of f, f^2, dx^2, dy^2."""
@@ -224,6 +229,7 @@ def _levels(count: int, dx: Floats, dy: Floats, f: Floats, moments: Floats) -> N
     moments[0], moments[1], moments[2], moments[3] = total, square, xx, yy
 
 
+@inner
 @kernel
 def reference_sums(
     count: int, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, order: int,
@@ -253,6 +259,7 @@ def reference_sums(
     _levels(count, dx, dy, f, moments)
 
 
+@inner
 @uncounted_summing_kernel
 def deformed_sums(
     count: int, dx: Floats, dy: Floats, f: Floats, gx: Floats, gy: Floats, g: Floats, order: int,
