@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, inlined, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inlined, inner, kernel, uncounted_kernel, variable
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
@@ -97,7 +97,8 @@ def pixel_footprint(xyz: Floats, intrinsics: Intrinsics, pose: Pose) -> Floats:
     return np.asarray(depth * (2.0 / (intrinsics.fx + intrinsics.fy)))
 
 
-@inlined
+@inner
+@uncounted_kernel
 def _slope(
     xyz: Floats, valid: Mask, start: tuple[int, int, int, int], first: int, last: int
 ) -> tuple[float, float, float]:
@@ -245,7 +246,7 @@ def _mark_jumps(
 ) -> None:
     """Mark both pixels of every pair of neighbours that no crease explains."""
     rows, columns = valid.shape
-    closer = np.ones(columns, dtype=np.bool_)
+    closer, here = np.ones(columns, dtype=np.bool_), variable(0)
     for d in range(len(directions)):
         down, right = directions[d, 0], directions[d, 1]
         step = sqrt(float(down * down + right * right))
@@ -260,8 +261,8 @@ def _mark_jumps(
                 gap_y = xyz[1, r, c] - xyz[1, row, column]
                 gap_z = xyz[2, r, c] - xyz[2, row, column]
                 allowed = limit[row, column] * step
-                x, y, z = _slope(xyz, valid, (row, column, down, right), -half_width, 0)
-                after_x, after_y, after_z = _slope(xyz, valid, (r, c, down, right), 0, half_width)
+                x, y, z = _slope(xyz, valid, (row, column, down, right), -half_width, here)
+                after_x, after_y, after_z = _slope(xyz, valid, (r, c, down, right), here, half_width)
                 if np.isfinite(x) and np.isfinite(after_x):
                     steeper = max(_square(x, y, z), _square(after_x, after_y, after_z))
                     allowed = min(allowed, _CREASE * sqrt(steeper))
