@@ -70,7 +70,7 @@ def judged(surface: str, texture: str, columns: int, threads: int) -> dict[str, 
         exact = shelf.shape(subject)
         ok = measured.reason == Reason.VALID
         error = np.linalg.norm((measured.position - exact.xyz)[:, ok], axis=0)
-        sigma = np.sqrt(trace(measured.covariance)[ok])
+        sigma = np.sqrt(trace(np.asarray(measured.covariance))[ok])
         found[view] = Judged(
             _MICRO * float(np.sqrt(np.nanmean(error**2))),
             float(np.sqrt(np.nanmean(np.square(error / sigma)))),

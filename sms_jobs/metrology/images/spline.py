@@ -81,11 +81,11 @@ def _mirrored_sum(image: Floats, pole: float, column: int) -> float:
         total += power * image[k, column]
         power *= pole
         if abs(power) < _NOTHING:
-            return total
+            return float(total)
     for k in range(len(image) - 2, 0, -1):
         total += power * image[k, column]
         power *= pole
-    return total / (1.0 - power)
+    return float(total / (1.0 - power))
 
 
 @summing_kernel
