@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,16 @@ def test_a_crack_is_found_from_edge_to_edge(
     assert np.abs(across[found]).mean() < 3.0
     # What could not be followed is bridged straight, over a third of the image at most.
     assert np.abs(across[found]).max() < 2.0 * RADIUS
+
+
+def test_a_crack_is_found_where_it_is_in_a_specimen_that_fills_part_of_the_image(speckle: object) -> None:
+    other = STRAIGHT > 0
+    pair = images(speckle, [(~other, (0.0, 0.0)), (other, (0.0, 1.0))])
+    specimen = (ROW >= 70) & (ROW < 210) & (COLUMN >= 35) & (COLUMN < 175)
+    found = lines(replace(pair, labels=specimen.astype(np.int32)))
+    assert specimen[found].all()
+    assert found[70:210].any(axis=1).all()
+    assert np.abs(STRAIGHT[found]).mean() < 3.0
 
 
 @pytest.mark.parametrize("period", [25.0, 40.0, 80.0])

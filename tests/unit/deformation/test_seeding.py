@@ -16,15 +16,18 @@ from sms_jobs.metrology.deformation.matching.seeding import (
 
 
 @pytest.mark.parametrize("missing", [0.1, 0.0])
-def test_masked_correlation_is_the_slow_reference(rng: np.random.Generator, missing: float) -> None:
-    template, image = rng.uniform(0.0, 4095.0, (9, 11)), rng.uniform(0.0, 4095.0, (20, 24))
-    own, searched = rng.random((9, 11)) > 0.3, rng.random((20, 24)) >= missing
+@pytest.mark.parametrize(("gaps", "rows", "columns"), [(0.3, 9, 11), (0.0, 9, 11), (0.0, 8, 14)])
+def test_masked_correlation_is_the_slow_reference(
+    rng: np.random.Generator, missing: float, gaps: float, rows: int, columns: int
+) -> None:
+    template, image = rng.uniform(0.0, 4095.0, (rows, columns)), rng.uniform(0.0, 4095.0, (20, 24))
+    own, searched = rng.random((rows, columns)) >= gaps, rng.random((20, 24)) >= missing
     found = masked_correlation(template, own, image, searched)
-    assert found.shape == (12, 14)
-    for j in range(12):
-        for i in range(14):
-            both = own & searched[j : j + 9, i : i + 11]
-            expected = np.corrcoef(template[both], image[j : j + 9, i : i + 11][both])[0, 1]
+    assert found.shape == (21 - rows, 25 - columns)
+    for j in range(21 - rows):
+        for i in range(25 - columns):
+            both = own & searched[j : j + rows, i : i + columns]
+            expected = np.corrcoef(template[both], image[j : j + rows, i : i + columns][both])[0, 1]
             # Single precision: sums of 100 products to 10^-7 each, means removed.
             assert abs(found[j, i] - expected) < 1e-5
 

@@ -82,7 +82,7 @@ def one_sided(xyz: Floats, valid: Mask, start: tuple[int, int], step: tuple[int,
 
 
 def jumps(xyz: Floats, valid: Mask, limit: float) -> Mask:
-    """Return the pixels beside jumps as this module's head describes them, one pair after the other."""
+    """Return the pixels beside jumps as the head of `segmentation` has them, pair by pair."""
     found = np.zeros_like(valid)
     for step in ((0, 1), (1, 0), (1, 1), (1, -1)):
         for r, c in np.argwhere(valid):
