@@ -111,7 +111,7 @@ def _in_partner(variances: Sequence[Floats], place: Floats, lever: int) -> list[
     found = []
     for one in variances:
         flat, carried = one.reshape(2, -1), np.zeros(one.shape)
-        some = np.flatnonzero(flat[0] + flat[1] > 0.0)  # of most pixels nothing is known
+        some = np.flatnonzero(flat[0] + flat[1] > 0.0)  # most pixels have none
         own = slopes.take(some, axis=2)
         own = np.where(np.isnan(own), np.eye(2)[..., None], own)
         carried.reshape(2, -1)[:, some] = np.einsum("kan,an->kn", own**2, flat.take(some, axis=1))

@@ -139,7 +139,7 @@ def _square(x: float, y: float, z: float) -> float:
 @inner
 @kernel
 def _slopes_of_five(xyz: Floats, valid: Mask, row: int, axis: int, slope: Floats, whole: Mask) -> None:
-    """Fill (columns,) which pixels of a row have two valid ones on either side, and the slope of all five."""
+    """Fill (columns,) which pixels of a row have two valid ones on either side, and how steep they are."""
     rows, columns = valid.shape
     down, right = axis, 1 - axis
     whole[:] = False

@@ -7,7 +7,7 @@ import pytest
 from support.two_cameras import VOLUME, Floats, Height, cameras, seen_by
 
 from sms_jobs.kinds.shape import stereo
-from sms_jobs.kinds.shape.partner_places import places_of_pixels
+from sms_jobs.kinds.shape.partner_places import _in_partner, places_of_pixels
 from sms_jobs.metrology.deformation.matching.camera_matching import RaySearch, TexturedCamera, match_cameras
 from sms_jobs.metrology.deformation.matching.correlation import MatchSettings, Noise, prepare_images
 from sms_jobs.metrology.deformation.matching.grid import GridSettings
@@ -76,3 +76,25 @@ def test_what_a_partner_sees_obliquely_is_stated_as_it_is() -> None:
     # 40 subsets of each seed do not overlap: 6.5 % of an rms, three times.
     assert over.min() > 0.8
     assert over.max() < 1.2
+
+
+def test_variances_are_carried_by_the_slopes_of_places() -> None:
+    y, x = np.mgrid[0:30, 0:40].astype(float)
+    place = np.stack([1.1 * x + 0.2 * y, -0.3 * x + 0.9 * y])
+    variance, none = np.zeros((2, 30, 40)), np.zeros((2, 30, 40))
+    variance[:, 8:20, 10:30] = np.array([4.0, 1.0])[:, None, None]
+    variance[1, 25, 35] = 2.0
+    carried, nothing = _in_partner((variance, none), place, 3)
+    squares = np.array([[1.1**2, 0.2**2], [0.3**2, 0.9**2]])
+    # Rounding: two products of numbers below 4, of slopes of places below 50 over 6 px.
+    np.testing.assert_allclose(carried, np.tensordot(squares, variance, axes=1), atol=1e-12)
+    assert not nothing.any()
+
+
+def test_variances_of_places_without_slopes_are_as_large_in_both_images() -> None:
+    place = np.full((2, 9, 9), np.nan)
+    place[:, 4, 4] = 5.0
+    variance = np.zeros((2, 9, 9))
+    variance[:, 4, 4] = 2.0, 3.0
+    (carried,) = _in_partner((variance,), place, 2)
+    np.testing.assert_array_equal(carried, variance)
