@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba.extending import register_jitable
 
-from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.arrays import Floats, Ints
 from sms_jobs.metrology.compilation import inner, kernel
 from sms_jobs.metrology.geometry import lens
 
@@ -79,3 +79,52 @@ def undistorted(lens: Floats, pixel: Floats, result: Floats) -> bool:
         x -= (d * off_x - b * off_y) / determinant
         y -= (a * off_y - c * off_x) / determinant
     return False
+
+
+@inner
+@kernel
+def _undistort_singly(lens: Floats, pixels: Floats, which: Ints, result: Floats) -> None:
+    """Do the work of `undistort_some` of a lens that is not plain, or beside its fold."""
+    pixel, one = np.empty(2), np.empty(6)
+    for k in range(len(which)):
+        pixel[0], pixel[1] = pixels[0, which[k]], pixels[1, which[k]]
+        found = undistorted(lens, pixel, one)
+        for i in range(6):
+            result[i, k] = one[i] if found else np.nan
+
+
+@inner
+@kernel
+def undistort_some(lens: Floats, pixels: Floats, which: Ints, result: Floats) -> None:
+    """Do for some of the pixels (2, n) what `undistorted` does for one; result (6, len(which)), NaN for none.
+
+    Of a plain lens each step is a loop over them, in which several are done at a time: a quarter of the time.
+    """
+    count, steps = len(which), 0
+    target = np.empty((2, count))
+    u, v, x, y = target[0], target[1], result[0], result[1]
+    for k in range(count):
+        u[k] = (pixels[0, which[k]] - lens[2]) / lens[0]
+        v[k] = (pixels[1, which[k]] - lens[3]) / lens[1]
+        x[k], y[k] = u[k], v[k]
+    on_their_way = count
+    while _is_plain(lens) and on_their_way > 0 and steps < _NEWTON_STEPS:
+        steps, on_their_way = steps + 1, 0
+        for k in range(count):
+            bent_x, bent_y = _plainly_distorted(lens, x[k], y[k])
+            off_x, off_y = bent_x - u[k], bent_y - v[k]
+            a, b, c, d = _plainly_by_point(lens, x[k], y[k])
+            determinant = a * d - b * c
+            away = abs(off_x) + abs(off_y) >= _NEWTON_TOLERANCE  # of NaN it is false
+            x[k] = x[k] - (d * off_x - b * off_y) / determinant if away else x[k]
+            y[k] = y[k] - (a * off_y - c * off_x) / determinant if away else y[k]
+            on_their_way += away
+    if on_their_way > 0:
+        _undistort_singly(lens, pixels, which, result)
+        return
+    for k in range(count):
+        a, b, c, d = _plainly_by_point(lens, x[k], y[k])
+        determinant = a * d - b * c if a * d - b * c > 0.0 else np.nan
+        result[2, k], result[3, k] = d / (determinant * lens[0]), -b / (determinant * lens[1])
+        result[4, k], result[5, k] = -c / (determinant * lens[0]), a / (determinant * lens[1])
+        x[k] = x[k] if determinant > 0.0 else np.nan

@@ -126,6 +126,27 @@ def test_a_pixel_is_undistorted_with_its_derivatives(bent: Intrinsics, points: F
     np.testing.assert_allclose(undistort(bent, distort(bent, points)), points, atol=1e-13)
 
 
+def test_many_pixels_are_undistorted_as_each_by_itself(bent: Intrinsics, points: Floats) -> None:
+    folding, radius = FOLDING["plain"]
+    beyond = 1.02 * folding.fx * radius
+    for lens, pixels in (
+        (bent.vector(), to_pixels(bent, points).T),
+        (bent.vector(), np.array([[300.0, np.nan, 321.3], [np.nan, 250.0, 250.7]])),
+        # Where some pixels have no ray, and where all have one.
+        (folding.vector(), np.array([[0.0, beyond, 500.0, 0.5 * beyond], [0.0, 0.0, 20.0, 3.0]])),
+        (folding.vector(), np.array([[0.0, 500.0, 10.0], [0.0, 20.0, 3.0]])),
+    ):
+        which = np.arange(pixels.shape[1])[::-2].copy()
+        result = np.empty((6, len(which)))
+        lens_kernels.undistort_some(lens, np.ascontiguousarray(pixels), which, result)
+        for k, number in enumerate(which):
+            one = np.full(6, np.nan)
+            if lens_kernels.undistorted(lens, pixels[:, number].copy(), one):
+                np.testing.assert_array_equal(result[:, k], one)
+            else:
+                assert np.isnan(result[:, k]).all()
+
+
 def test_a_wide_lens_is_undone_over_its_whole_sensor(wide: Intrinsics) -> None:
     assert fold_px(wide, COLUMNS, ROWS) is None
     pixels = pixel_grid(ROWS, COLUMNS)[::7, ::7].reshape(-1, 2)
