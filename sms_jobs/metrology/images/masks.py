@@ -124,8 +124,12 @@ def distance_inside(mask: Mask) -> Singles:
     """
     import cv2
 
-    found = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(np.sqrt(np.rint(np.square(found))))
+    part = grown(box_of(mask), 1)  # no pixel beyond the ring about it is nearer than one of the ring
+    inside = mask[part].astype(np.uint8)
+    squares = np.square(cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    found = np.zeros(mask.shape, dtype=np.float32)
+    found[part] = np.sqrt(np.rint(squares))
+    return found
 
 
 def box_of(mask: Mask) -> tuple[slice, slice]:

@@ -23,6 +23,7 @@ from sms_jobs.metrology.arrays import Floats, Ints, Mask
 from sms_jobs.metrology.compilation import in_row_blocks, inlined, inner, kernel, uncounted_kernel, variable
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
+from sms_jobs.metrology.images.masks import box_of, grown
 
 _CREASE = 1.5  # slopes; 1 is the most that a crease can reach, the rest is for curved sides
 _NOISE = 7.2  # sigmas: 4 of the gap's own sqrt(3.25), with slopes over three pixels
@@ -374,6 +375,10 @@ def label_regions(
     """
     import cv2
 
+    whole = np.zeros(valid.shape, dtype=np.int32)
+    part = grown(box_of(valid), edges.half_width + 1)  # nobody looks further
+    xyz, valid = np.ascontiguousarray(xyz[:, *part]), np.ascontiguousarray(valid[part])
+    sigma, footprint = (np.ascontiguousarray(one[part]) for one in (sigma, footprint))
     limit = edges.limit(footprint)
     apart = find_discontinuities(xyz, valid, sigma, footprint, edges=edges, threads=threads)
     _, pieces, table, _ = cv2.connectedComponentsWithStats(
@@ -383,21 +388,20 @@ def label_regions(
     large[0] = False
     labels: NDArray[np.int32] = np.where(large[pieces], pieces, 0).astype(np.int32)
     for _ in range(edges.reach + 1):
-        grown = np.empty_like(labels)
-        _grow(xyz, valid, limit, labels, grown)
-        labels = grown
-    return in_order(labels)
+        given_back = np.empty_like(labels)
+        _grow(xyz, valid, limit, labels, given_back)
+        labels = given_back
+    whole[part] = labels
+    return in_order(whole)
 
 
 def in_order(labels: NDArray[np.int32]) -> ContinuousRegions:
     """Renumber regions by area, then centroid, so that they are found again in another state."""
-    flat = labels.reshape(-1)
-    areas = np.bincount(flat)
-    rows, columns = labels.shape
-    sums = (
-        np.bincount(flat, np.tile(np.arange(columns), rows)),
-        np.bincount(flat, np.repeat(np.arange(rows), columns)),
-    )
+    part = box_of(labels > 0)
+    flat = labels[part].reshape(-1)
+    areas = np.bincount(flat, minlength=1)
+    down, right = np.ogrid[part]
+    sums = [np.bincount(flat, np.broadcast_to(one, labels[part].shape).reshape(-1)) for one in (right, down)]
     kept = 1 + np.flatnonzero(areas[1:])
     x, y = (one[kept] / areas[kept] for one in sums)
     order = np.lexsort((y, x, -areas[kept]))

@@ -145,6 +145,20 @@ def test_distances_inside_are_exact(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(distance_inside(mask), expected.astype(np.float32))
 
 
+@pytest.mark.parametrize("part", [np.s_[:40, 30:], np.s_[25:60, 10:90], np.s_[70:, :35], np.s_[:, 50:60]])
+def test_distances_inside_a_part_of_an_image_are_exact(
+    part: tuple[slice, slice], rng: np.random.Generator
+) -> None:
+    mask = np.zeros((90, 120), bool)
+    mask[part] = rng.random(mask[part].shape) > 0.002
+    expected = ndimage.distance_transform_edt(mask)
+    np.testing.assert_array_equal(distance_inside(mask), expected.astype(np.float32))
+
+
+def test_nothing_has_no_distances() -> None:
+    np.testing.assert_array_equal(distance_inside(np.zeros((4, 5), bool)), np.zeros((4, 5)))
+
+
 def test_a_box_holds_all_of_a_mask_and_no_more() -> None:
     mask = np.zeros((10, 12), bool)
     mask[3, 4] = mask[6, 2] = True

@@ -242,6 +242,28 @@ def test_regions_are_ordered_by_area_then_centroid_and_small_ones_dropped() -> N
     assert (found.labels[2:5, 2:5] == 0).all()
 
 
+@pytest.mark.parametrize("place", [(0, 0), (7, 12), (18, 34), (9, 34)])
+@pytest.mark.parametrize("half_width", [2, 3])
+def test_regions_are_the_same_wherever_they_lie(
+    place: tuple[int, int], half_width: int, rng: np.random.Generator
+) -> None:
+    """Of a step, in pieces of 30 x 30 px; what lies beyond the image and what is not valid are nothing."""
+    edges = EdgeSettings(half_width=half_width)
+    step = np.where(np.arange(30) < 13, 0.0, 6.0) + 0.2 * np.arange(30)[:, None]
+    points = np.stack([*(PIXEL * one for one in np.mgrid[:30.0, :30.0][::-1]), step])
+    points += rng.normal(scale=NOISE, size=points.shape)
+    good = rng.random((30, 30)) > 0.03
+    alone = segment(points, good, edges=edges)
+    assert len(alone.areas) == 2
+    xyz, valid = np.full((3, ROWS, COLUMNS), np.nan), np.zeros((ROWS, COLUMNS), bool)
+    own = np.s_[place[0] : place[0] + 30, place[1] : place[1] + 30]
+    xyz[:, *own], valid[own] = points, good
+    found = segment(xyz, valid, edges=edges)
+    np.testing.assert_array_equal(found.labels[own], alone.labels)
+    assert np.count_nonzero(found.labels) == np.count_nonzero(alone.labels)
+    np.testing.assert_allclose(found.centroids, alone.centroids + np.array(place[::-1]), atol=1e-9)
+
+
 def test_noise_alone_marks_nothing(rng: np.random.Generator) -> None:
     # Even where a pixel is as small as the noise: 7.2 sigma of difference, see the module.
     xyz = np.stack([X * NOISE, Y * NOISE, np.zeros_like(X)]) + rng.normal(
