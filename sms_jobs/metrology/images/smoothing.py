@@ -59,10 +59,20 @@ def noise_after_smoothing(smoothed: Floats, inside: Mask, sigma_px: float) -> fl
     part = grown(box_of(inside), _RIM)
     inside, before, after = inside[part], 0.0, 0.0
     for axis in range(2):
-        slopes: Floats = np.gradient(smoothed[part], axis=axis)
+        slopes = _slopes(smoothed[part], axis)
         before += float(np.sum(slopes**2, where=inside))
         after += float(np.sum(smooth(slopes, sigma_px) ** 2, where=inside))
     return after / before if before > 0.0 else 1.0
+
+
+def _slopes(image: Floats, axis: int) -> Floats:
+    """Return half the differences between the pixels to either side; at the ends whole ones with the next."""
+    slopes = np.empty(image.shape)
+    along, found = np.moveaxis(image, axis, 0), np.moveaxis(slopes, axis, 0)
+    np.subtract(along[2:], along[:-2], out=found[1:-1])
+    found[1:-1] *= 0.5
+    found[0], found[-1] = along[1] - along[0], along[-1] - along[-2]
+    return slopes
 
 
 def noise_of_pixels(sigma_px: float) -> float:

@@ -138,6 +138,17 @@ def test_borders_are_in_proportion_to_subsets() -> None:
     np.testing.assert_allclose(found[1][1::3], found[0], rtol=1e-6)  # distances are in single precision
 
 
+@pytest.mark.parametrize("shape", [(200, 231), (24, 61), (7, 30)])
+def test_the_border_of_an_image_counts_by_its_distance_alone(shape: tuple[int, int]) -> None:
+    reach = blending_reach(1, 6)
+    at = beside_borders(np.ones((400, 400), np.int32), 8, reach, 3)
+    rows, columns = np.indices(shape)
+    distance = np.minimum.reduce([rows, rows[::-1], columns, columns[:, ::-1]])
+    for found, told in zip(beside_borders(np.ones(shape, np.int32), 8, reach, 3), at, strict=True):
+        assert told[200, 5] != told[200, 20]
+        np.testing.assert_array_equal(found, told[200][distance])
+
+
 def test_gaps_narrower_than_a_subset_are_no_borders_but_cracks_are() -> None:
     labels = np.ones((120, 120), np.int32)
     labels[60, 60] = 0

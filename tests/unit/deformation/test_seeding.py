@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from sms_jobs.metrology.deformation.matching.seeding import (
     SearchSettings,
+    block_means,
     masked_correlation,
     repeats_itself,
     seed_displacements,
@@ -30,6 +31,16 @@ def test_masked_correlation_is_the_slow_reference(
             expected = np.corrcoef(template[both], image[j : j + rows, i : i + columns][both])[0, 1]
             # Single precision: sums of 100 products to 10^-7 each, means removed.
             assert abs(found[j, i] - expected) < 1e-5
+
+
+@pytest.mark.parametrize("factor", [2, 4, 8])
+def test_means_of_blocks_leave_out_what_makes_none(factor: int, rng: np.random.Generator) -> None:
+    image = rng.normal(100.0, 30.0, (53, 75))
+    found = block_means(image, factor)
+    assert found.shape == (53 // factor, 75 // factor)
+    for row, column in np.ndindex(found.shape):
+        block = image[factor * row : factor * (row + 1), factor * column : factor * (column + 1)]
+        assert found[row, column] == pytest.approx(block.mean(), rel=1e-12)
 
 
 def test_a_lag_with_little_overlap_is_no_match(rng: np.random.Generator) -> None:

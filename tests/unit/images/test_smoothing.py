@@ -49,6 +49,18 @@ def test_the_scatter_of_a_shift_is_the_one_predicted(rng: np.random.Generator) -
     assert np.std(found) / sigma == pytest.approx(1.0, abs=0.07)
 
 
+@pytest.mark.parametrize("part", [np.s_[:, :], np.s_[:7, 20:], np.s_[12:30, 9:26]])
+def test_the_noise_in_a_part_is_told_by_its_own_slopes(
+    part: tuple[slice, slice], rng: np.random.Generator
+) -> None:
+    texture, inside = smooth(rng.normal(size=ONE.shape), 0.7), np.zeros_like(ONE)
+    inside[part] = rng.random(inside[part].shape) > 0.1
+    slopes = [np.gradient(texture, axis=axis) for axis in range(2)]
+    before = sum(np.sum(slope[inside] ** 2) for slope in slopes)
+    after = sum(np.sum(smooth(slope, 0.6)[inside] ** 2) for slope in slopes)
+    assert noise_after_smoothing(texture, inside, 0.6) == pytest.approx(after / before, rel=1e-12)
+
+
 @pytest.mark.parametrize("sigma", [0.0, 0.6])
 def test_the_noise_that_is_left_is_the_one_predicted(sigma: float, rng: np.random.Generator) -> None:
     """Of 400 x 400 pixels: a variance is known to 0.4 %, and to about twice that of neighbours alike."""

@@ -167,7 +167,7 @@ def blend_rows(
                     total = sums[0]
                     if not total > 0.0:
                         continue
-                    aside[r, c] = np.hypot(sums[1], sums[2]) / (total * reach)
+                    aside[r, c] = np.sqrt(sums[1] * sums[1] + sums[2] * sums[2]) / (total * reach)
                     images_part[r, c] = sums[9] / (sums[7] + sums[8])
                     for a in range(2):
                         mean = sums[3 + a] / total

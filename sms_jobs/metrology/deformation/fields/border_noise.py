@@ -75,18 +75,27 @@ def by_borders(labels: Labels, radius: int, told: Callable[[int], tuple[Floats, 
     """Return what borders do at pixels (rows, columns), by what is told at `depths` for a rim."""
     scale = (radius + 0.5) / (RADIUS + 0.5)
     rim = min(round(RIM / scale), RADIUS // 2)  # beyond, too little of a subset is left to be matched
-    down, right = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in labels.shape)
-    from_border = np.minimum(down[:, None], right)
-    within = (np.arange(from_border.max() + 1) - RIM + 0.5) / scale - 0.5
+    deep = RIM + int(np.ceil(scale * (_DEEP * RADIUS + 0.5)))
+    within = (np.arange(deep + 1) - RIM + 0.5) / scale - 0.5
     from_edges = _from_edges(labels, radius)
     near = from_edges < _DEEP * (radius + 0.5)
     inside = (from_edges[near] + 0.5) / scale - 0.5
     found = []
     for of_image, of_edge in zip(told(rim), told(0), strict=True):
-        each = np.interp(within, depths(rim), of_image)[from_border]
+        each = _from_the_border(np.interp(within, depths(rim), of_image), labels.shape)
         each[near] *= np.interp(inside, depths(0), of_edge)
         found.append(each)
     return tuple(found)
+
+
+def _from_the_border(values: Floats, shape: tuple[int, int]) -> Floats:
+    """Return what is told at 0, 1, 2 .. px from an image's border, (rows, columns); the last further in."""
+    whole = np.full(shape, values[-1])
+    for distance, value in enumerate(values[: (min(shape) + 1) // 2]):
+        ring = whole[distance : shape[0] - distance, distance : shape[1] - distance]
+        ring[[0, -1]] = value
+        ring[:, [0, -1]] = value
+    return whole
 
 
 def depths(rim: int) -> Floats:

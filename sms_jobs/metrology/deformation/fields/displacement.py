@@ -7,11 +7,13 @@ only, and the reference state's point is taken from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.arrays import Floats, Ints, Mask
+from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks
 from sms_jobs.metrology.deformation.fields.averaging import OUTLIER, average_in_region
 from sms_jobs.metrology.deformation.fields.blending import blend_rows
@@ -21,6 +23,8 @@ from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.deformation.matching.window_maps import means
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.metrology.images.masks import beside_another_label, box_of
+
+T = TypeVar("T", bound=np.floating[Any])
 
 OUTSIDE_REGION, NO_MATCH_NEAR, LEFT_IMAGE, NO_SHAPE_AT_END = range(1, 5)
 """Why a pixel has no displacement; 0 where it has one."""
@@ -129,9 +133,9 @@ class DenseDisplacement:
     """
 
     displacement: Floats
-    covariance: Floats
+    covariance: Singles
     image_displacement: Floats
-    bias: Floats
+    bias: Singles
     status: NDArray[np.int32]
 
 
@@ -139,13 +143,12 @@ def pixel_pitch(xyz: Floats, labels: NDArray[np.int32], quantile: float) -> floa
     """Return a quantile of the distances in mm between neighbouring points of a region; 1 without any."""
     part = box_of(labels > 0)
     xyz, labels = xyz[:, *part], labels[part]
-    steps = []
+    squares = []
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
+        step = xyz[:, *first] - xyz[:, *second]
         together = (labels[first] == labels[second]) & (labels[first] > 0)
-        steps.append(
-            np.linalg.norm(xyz[(slice(None), *first)] - xyz[(slice(None), *second)], axis=0)[together]
-        )
-    every = np.concatenate(steps)
+        squares.append(np.einsum("kij,kij->ij", step, step)[together])
+    every = np.sqrt(np.concatenate(squares))
     return float(np.quantile(every, quantile)) if len(every) else 1.0
 
 
@@ -332,8 +335,9 @@ def displacement_field(
     everywhere = np.full((rows, columns), OUTSIDE_REGION, dtype=np.int32)
     everywhere[part] = status
     np.copyto(image, np.nan, where=everywhere != 0)
-    moved, spread, biased = (_in_whole(field, part, (rows, columns)) for field in (moved, spread, biased))
-    return DenseDisplacement(moved, spread, image, biased, everywhere)
+    all_of_it = partial(_in_whole, part=part, shape=(rows, columns))
+    covariance, of_bias = (all_of_it(field.astype(np.float32)) for field in (spread, biased))
+    return DenseDisplacement(all_of_it(moved), covariance, image, of_bias, everywhere)
 
 
 def _carry_variances(variance: Floats, bias: Floats, slope: Floats, spread: Floats, threads: int) -> Floats:
@@ -357,7 +361,7 @@ def _carry_variances(variance: Floats, bias: Floats, slope: Floats, spread: Floa
     return biased
 
 
-def _in_whole(field: Floats, part: tuple[slice, slice], shape: tuple[int, int]) -> Floats:
+def _in_whole(field: NDArray[T], part: tuple[slice, slice], shape: tuple[int, int]) -> NDArray[T]:
     """Return a field (.., rows, columns) of a part of an image over the whole of it, NaN beyond."""
     whole, (rows, columns) = np.empty((*field.shape[:-2], *shape), dtype=field.dtype), part
     for beyond in (np.s_[: rows.start], np.s_[rows.stop :]):

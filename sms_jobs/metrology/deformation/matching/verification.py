@@ -179,7 +179,7 @@ def _mean_square(
     smallest square alone, and judges nothing else: there matches are carried to the image's border. That is
     left out where no displacement is `told` for any such pixel.
     """
-    usable = known & np.isfinite(asked) & (spread > 0.0) & (np.abs(asked) < _FAR)
+    usable = known & (spread > 0.0) & (np.abs(asked) < _FAR)  # neither is true of NaN
     asked, noise = np.where(usable, asked, 0.0), np.where(usable, spread, 1.0)
     typical = float(np.median(noise[usable])) if usable.any() else 1.0
     # Running sums do not bear weights of very different sizes.
@@ -191,8 +191,9 @@ def _mean_square(
     if (told & ~inner).any():
         window_maps.weighed(asked, noise, usable, typical, *maps)
         found = np.where(inner, found, _bounded(found, maps, sizes.squares[-1], sizes.window))
-    alone = usable & (asked**2 > _ALONE**2 * noise)
-    return np.maximum(found, np.where(alone, asked**2, 0.0))
+    square = asked**2
+    alone = usable & (square > _ALONE**2 * noise)
+    return np.maximum(found, np.where(alone, square, 0.0))
 
 
 def _bounded(found: Floats, maps: tuple[Floats, ...], scale: int, window: int) -> Floats:
