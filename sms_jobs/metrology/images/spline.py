@@ -128,7 +128,10 @@ def spline_coefficients(image: NDArray[np.generic], interpolant: Interpolant = "
     The recursive filters of Unser, Aldroubi & Eden 1993, as SciPy has them, to and fro along each axis; here
     several lines at a time, since each number waits for the one before it: a fifth of SciPy's time.
     """
-    coefficients = np.array(image, dtype=np.float64, order="C")
+    # A part of an array has the same layout, turned or not: the filter is compiled but once.
+    rows, columns = image.shape
+    coefficients = np.empty((rows, columns + 1))[:, :columns]
+    coefficients[:] = image
     for pole in _POLES[interpolant]:
         for lines in (coefficients, coefficients.T):
             _filter_columns(lines, pole)

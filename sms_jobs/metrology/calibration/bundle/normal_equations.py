@@ -264,7 +264,8 @@ def evaluate(
     in_row_blocks(spheres, len(packed.bars), options.threads, block=8)
     for kind in (0, 1):
         kinds = np.full(len(packed.bars), kind)
-        _scatter(local[:, kind], vector[:, kind], packed.bar_index, kinds, by_type, gradient)
+        own = np.ascontiguousarray(local[:, kind]), np.ascontiguousarray(vector[:, kind])
+        _scatter(*own, packed.bar_index, kinds, by_type, gradient)
     board_costs = _boards(problem, packed, state, live, scale, options, now, by_type, gradient)
     prior, prior_gradient, prior_cost = prior_equations(problem, state)
     cost = float(costs.sum() + board_costs.sum())

@@ -19,7 +19,7 @@ from sms_jobs.metrology.calibration.bundle.rays import (
     ray,
     to_sensor,
 )
-from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel
+from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel, variable
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted
@@ -212,8 +212,8 @@ def sphere_block(
             own_x, own_y = sx * rows[0, k], sy * rows[1, k]
             turned[0, k] = x * own_y - y * own_x
             turned[1, k] = x * own_x + y * own_y
-        _add(turned[0], SPHERE_SIZE - 4, weight, first, normal[0], gradient[0])
-        _add(turned[1], SPHERE_SIZE, weight, second, normal[1], gradient[1])
+        _add(turned[0], variable(SPHERE_SIZE - 4), weight, first, normal[0], gradient[0])
+        _add(turned[1], variable(SPHERE_SIZE), weight, second, normal[1], gradient[1])
     return cost
 
 
@@ -380,6 +380,6 @@ def board_block(
         for k in range(BOARD_SIZE):
             rows[1, k] = b * rows[0, k] + c * rows[1, k]
             rows[0, k] *= a
-        _add(rows[0], BOARD_SIZE, weight, first, normal, gradient)
-        _add(rows[1], BOARD_SIZE, weight, second, normal, gradient)
+        _add(rows[0], variable(BOARD_SIZE), weight, first, normal, gradient)
+        _add(rows[1], variable(BOARD_SIZE), weight, second, normal, gradient)
     return cost
