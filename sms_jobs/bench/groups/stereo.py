@@ -232,11 +232,8 @@ def _speed(run: Run) -> Iterator[Found]:
 
 
 def _process_seconds(work: Callable[[], object]) -> float:
-    """Return the CPU time of a call, in s, of all threads: the least of some.
-
-    The first compiles, and the next fetch memory from the system that a worker has by its second job.
-    """
-    taken = []
+    """Return the CPU time of a call, in s, of all threads: the least of some, once all is compiled."""
+    taken = []  # the first turns also fetch memory from the system, which a worker has by its second job
     for _ in range(_TURNS):
         started = time.process_time()
         work()

@@ -23,7 +23,6 @@ from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
 from sms_jobs.metrology.deformation.matching.verification import Verified, verify_displacement
-from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.images.masks import narrowed, widened
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Surface
 from sms_jobs.records.reasons import Reason
@@ -75,7 +74,7 @@ def spread(
 ) -> ImageDisplacement:
     """Spread the matches over their regions, and verify what comes of that."""
     surface, labels = before.surface, before.match_regions
-    position = surface.position if surface.has_depth else in_space(pixels_as_plane(labels.shape))
+    position = surface.position if surface.has_depth else None
     found = blend_matches(
         trusted_points(grid, labels), position, labels, parameters.subset_radius_px, threads
     )

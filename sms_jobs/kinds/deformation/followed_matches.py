@@ -22,7 +22,6 @@ from sms_jobs.metrology.deformation.matching.grid import GridMatches, GridSettin
 from sms_jobs.metrology.deformation.matching.sampling import sample_nodes
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
-from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.geometry.several_cameras import slopes_of_places
 from sms_jobs.metrology.images.masks import widened
 
@@ -75,8 +74,7 @@ def match_and_spread(
     found = _matched(images, expected, subsets, parameters, threads)
     if between:
         refuse_misfits(found.matches)
-    plane = in_space(pixels_as_plane(labels.shape))
-    spread = blend_matches(trusted_points(found, labels), plane, labels, subsets.radius, threads)
+    spread = blend_matches(trusted_points(found, labels), None, labels, subsets.radius, threads)
     if between:
         spread.value[:, ~between_matches(found, labels.shape, parameters.spacing_px)] = np.nan
     verified = verify_displacement(

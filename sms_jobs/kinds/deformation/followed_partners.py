@@ -36,7 +36,7 @@ from sms_jobs.metrology.deformation.matching.correlation import (
 )
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
 from sms_jobs.metrology.deformation.matching.shape_functions import ShapeOrder
-from sms_jobs.metrology.geometry.camera import Camera, pixel_grid, project
+from sms_jobs.metrology.geometry.camera import Camera, pixel_maps, project
 from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.several_cameras import slopes_of_places
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
@@ -120,7 +120,7 @@ def followed_field(
             image.verified.bias,
             image.verified.agrees,
         ),
-        _pixels(field.reason.shape) + field.image_displacement,
+        pixel_maps(*field.reason.shape) + field.image_displacement,
         Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order)),
         parameters,
         inputs.threads,
@@ -162,7 +162,7 @@ def _scene(
     cameras = tuple(
         _cameras(inputs.read(port, CALIBRATED), view) for port in (CALIBRATION_AT_REST, CALIBRATION_OF_SHAPE)
     )
-    pixels = _pixels(field.reason.shape)
+    pixels = pixel_maps(*field.reason.shape)
     seen = [inputs.read(ports.surface.port, PLACES.of(name)) for name in view.other_cameras]
     first = [pixels + one.shift for one in seen]
     own, other = spots_of(smoothing_px)
@@ -170,10 +170,6 @@ def _scene(
     end = before.surface.position + field.displacement
     expected = [_as_seen(camera, end) for camera in cameras[1][1:]]
     return _Scene((cameras[0], cameras[1]), first, spots, expected)
-
-
-def _pixels(shape: tuple[int, ...]) -> Floats:
-    return np.moveaxis(pixel_grid(*shape), -1, 0)
 
 
 def _as_seen(camera: Camera, points: Floats) -> Floats:
@@ -210,7 +206,7 @@ def _by_own_texture(
         spots=spots_of(parameters.smoothing_px),
     )
     subsets = Subsets(parameters.subset_radius_px, cast(ShapeOrder, parameters.shape_order))
-    expected = _pixels(shape) + shift
+    expected = pixel_maps(*shape) + shift
     spread = match_and_spread(images, expected, subsets, parameters, inputs.threads)
     spread = follow_bends(images, spread, expected, subsets, parameters, inputs.threads)
     known = np.isfinite(spread.moved[0]) & spread.agrees
@@ -282,7 +278,7 @@ def _by_first_image(
     )
     off = asks_for_another_place(spread.bias, spread.variance)
     disagree = np.isfinite(spread.moved[0]) & (off | ~spread.agrees)
-    place = np.where(disagree, np.nan, _pixels(shape) + spread.moved)
+    place = np.where(disagree, np.nan, pixel_maps(*shape) + spread.moved)
     slopes = slopes_of_places(place, subsets.radius)
     slopes = np.where(np.isfinite(slopes), slopes, np.eye(2)[..., None, None])
     # What matches between cameras leave over is in their variance.
@@ -301,7 +297,7 @@ def _met(
 ) -> FollowedPoints:
     """Meet the rays of the wanted pixels (rows, columns) before and after."""
     surface, radius = before.surface, parameters.subset_radius_px
-    pixels = _pixels(wanted.shape)
+    pixels = pixel_maps(*wanted.shape)
     end = pixels + moved.moved
     slopes = slopes_of_places(end, radius)
     slopes = np.where(np.isfinite(slopes), slopes, np.eye(2)[..., None, None])

@@ -16,8 +16,7 @@ from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCame
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
-from sms_jobs.metrology.geometry.camera import Camera, pixel_grid
-from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
+from sms_jobs.metrology.geometry.camera import Camera, pixel_maps
 from sms_jobs.metrology.geometry.several_cameras import (
     SeenPoints,
     directions_across_rays,
@@ -37,7 +36,8 @@ def asks_for_another_place(bias: Floats, variance: Floats) -> Mask:
 
     Both (2, rows, columns) in px^2: the square of what they ask for, and the variance of the match.
     """
-    return np.asarray((bias > np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)).any(axis=0))
+    u, v = bias > np.maximum(_OFF_SIGMAS**2 * variance, _OFF_PX**2)
+    return np.asarray(u | v)
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,7 @@ def places_of_pixels(
     `cameras` are the reference and the partner.
     """
     labels, radius = images.labels, parameters.subset_radius_px
-    plane = in_space(pixels_as_plane(labels.shape))
-    spread = blend_matches(trusted_points(found, labels), plane, labels, radius, threads)
+    spread = blend_matches(trusted_points(found, labels), None, labels, radius, threads)
     shift = spread.value
     np.copyto(shift, np.nan, where=~between_matches(found, labels.shape, parameters.spacing_px))
     verified = verify_displacement(
@@ -89,9 +88,7 @@ def places_of_pixels(
         threads,
         across=directions_across_rays(*cameras),
     )
-    place = _well_inside(
-        np.moveaxis(pixel_grid(*labels.shape), -1, 0) + shift, labels.shape, parameters.edge_margin_px
-    )
+    place = _well_inside(pixel_maps(*labels.shape) + shift, labels.shape, parameters.edge_margin_px)
     asked, bent = _in_partner((verified.bias, spread.bias), place, radius)
     off = asks_for_another_place(asked, spread.variance + bent)
     # Windows overlap: what one of them finds is found about it too, and single pixels are chance.
@@ -138,7 +135,7 @@ def points_of_pixels(
     threads: int,
 ) -> SeenPoints:
     """Return the point of each pixel; `lever` is the distance in px over which slopes are taken."""
-    pixels = pixel_grid(*reference.texture.shape).reshape(-1, 2).T
+    pixels = pixel_maps(*reference.texture.shape).reshape(2, -1)
     places = np.stack([one.place.reshape(2, -1) for one in spread])
     sigma = np.stack([np.sqrt(one.variance).reshape(2, -1) for one in spread])
     slopes = np.stack([slopes_of_places(one.place, lever).reshape(2, 2, -1) for one in spread])
@@ -183,7 +180,7 @@ def held_against_the_images(surface: Surface, spread: Sequence[PartnerPlaces]) -
 
 def places_seen(camera: str, spread: PartnerPlaces, surface: Surface) -> PlacesSeen:
     """Return what is kept of a partner's places: those that the surface has been made of."""
-    shift = spread.place - np.moveaxis(pixel_grid(*surface.reason.shape), -1, 0)
+    shift = spread.place - pixel_maps(*surface.reason.shape)
     np.copyto(shift, np.nan, where=surface.reason != Reason.VALID)
     own, other = (float(np.sqrt(lens)) for lens in spread.lenses)
     return PlacesSeen(camera, shift.astype(np.float32), own, other)

@@ -141,3 +141,10 @@ def pixel_grid(rows: int, columns: int) -> Floats:
     """Return the coordinates (x, y) of every pixel centre, (rows, columns, 2), in pixels."""
     x, y = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)
     return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def pixel_maps(rows: int, columns: int) -> Floats:
+    """Return x and y of every pixel centre as maps, (2, rows, columns), in pixels."""
+    maps = np.empty((2, rows, columns))
+    maps[0], maps[1] = np.arange(columns), np.arange(rows)[:, None]
+    return maps

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.geometry.camera import pixel_maps
 
 A = TypeVar("A", bound=NDArray[np.floating[Any]])
 
@@ -50,5 +51,7 @@ def pixels_as_plane(shape: tuple[int, ...], size: float = 1.0) -> Floats:
 
     x points to the right and y up, from the middle of the first pixel, in the unit of a pixel's `size`.
     """
-    row, column = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
-    return size * np.stack([column, -row])
+    maps = pixel_maps(*shape)
+    maps[0] *= size
+    maps[1] *= -size
+    return maps

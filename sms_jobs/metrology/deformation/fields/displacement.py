@@ -21,6 +21,7 @@ from sms_jobs.metrology.deformation.fields.border_noise import beside_borders, b
 from sms_jobs.metrology.deformation.fields.common_noise import CommonNoise, take_common_noise
 from sms_jobs.metrology.deformation.matching.shape_functions import WARP
 from sms_jobs.metrology.deformation.matching.window_maps import means
+from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 from sms_jobs.metrology.images.interpolation import interpolate_in_region
 from sms_jobs.metrology.images.masks import beside_another_label, box_of
 
@@ -163,7 +164,7 @@ def blending_factor(numbers: int) -> float:
 
 
 def blend_matches(
-    points: ImagePoints, xyz: Floats, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
+    points: ImagePoints, xyz: Floats | None, labels: NDArray[np.int32], subset_radius: int, threads: int = 1
 ) -> Blended:
     """Spread the image displacement from matched points to every pixel of their regions.
 
@@ -172,7 +173,8 @@ def blend_matches(
     points
         Matches to trust.
     xyz
-        (3, rows, columns) in mm, positions at the reference state.
+        (3, rows, columns) in mm, positions at the reference state; None where distances in the image are all
+        that counts.
     labels
         (rows, columns), regions of the reference state.
     subset_radius
@@ -211,7 +213,8 @@ def blend_matches(
     value = np.empty((2, rows, columns))
     variance, scatter = np.empty((2, rows, columns)), np.empty((2, rows, columns))
     images_part, aside = np.empty((rows, columns)), np.empty((rows, columns))
-    footprint = pixel_pitch(xyz, labels, 0.5)
+    footprint = 1.0 if xyz is None else pixel_pitch(xyz, labels, 0.5)
+    xyz = in_space(pixels_as_plane(labels.shape)) if xyz is None else xyz
     x, y = points.x[order], points.y[order]
     own_variance = (np.maximum(points.sigma[order], 1e-6) ** 2).T
     warp = np.zeros((WARP, len(order)))
