@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sms_jobs.metrology.geometry.camera import (
     Pose,
     pixel_grid,
+    pixel_maps,
     project,
     projection_jacobian,
     ray_directions,
@@ -154,3 +155,4 @@ def test_pixel_centres_count_from_zero() -> None:
     assert grid.shape == (3, 5, 2)
     assert tuple(grid[0, 0]) == (0.0, 0.0)
     assert tuple(grid[2, 4]) == (4.0, 2.0)
+    np.testing.assert_array_equal(pixel_maps(3, 5), np.moveaxis(grid, -1, 0))

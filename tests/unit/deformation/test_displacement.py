@@ -20,6 +20,7 @@ from sms_jobs.metrology.deformation.fields.displacement import (
     pixel_pitch,
 )
 from sms_jobs.metrology.deformation.matching.correlation import MatchSettings, match_points, prepare_images
+from sms_jobs.metrology.geometry.planes import in_space, pixels_as_plane
 
 ROWS, COLUMNS = 60, 70
 PITCH = 0.8
@@ -58,6 +59,16 @@ def spread(points: ImagePoints, xyz: np.ndarray, labels: np.ndarray) -> tuple[np
     """Return a displacement and its variances, by subsets of 8 px radius."""
     found = blend_matches(points, xyz, labels, 8)
     return found.value, found.variance
+
+
+def test_in_the_image_alone_its_own_plane_is_the_surface(rng: np.random.Generator) -> None:
+    labels = two_regions()
+    points = points_on(labels, AFFINE)
+    points.warp[:, 0] += rng.normal(scale=0.1, size=len(points.x))
+    plane = in_space(pixels_as_plane(labels.shape))
+    found, told = (vars(blend_matches(points, xyz, labels, 8)) for xyz in (None, plane))
+    for name, values in told.items():
+        np.testing.assert_array_equal(found[name], values)
 
 
 def test_affine_displacement_is_exact_to_the_last_pixel() -> None:
