@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sms_jobs.metrology.deformation.fields.border_noise import beside_borders
+from sms_jobs.metrology.deformation.fields.border_noise import RADIUS as RADIUS_OF_TABLE
+from sms_jobs.metrology.deformation.fields.border_noise import beside_borders, by_borders, depths
 from sms_jobs.metrology.deformation.fields.displacement import ImagePoints, blend_matches, blending_reach
 from sms_jobs.metrology.deformation.fields.noise_correlation import noise_correlation_at
 from sms_jobs.metrology.deformation.matching.finer_subsets import Subsets
@@ -147,6 +148,17 @@ def test_the_border_of_an_image_counts_by_its_distance_alone(shape: tuple[int, i
     for found, told in zip(beside_borders(np.ones(shape, np.int32), 8, reach, 3), at, strict=True):
         assert told[200, 5] != told[200, 20]
         np.testing.assert_array_equal(found, told[200][distance])
+
+
+@pytest.mark.parametrize("radius", [5, 8, 31])
+def test_a_border_counts_as_deep_as_it_is_summed(radius: int) -> None:
+    labels = np.ones((300, 300), np.int32)
+    (found,) = by_borders(labels, radius, lambda rim: (depths(rim),))  # distances tell themselves
+    scale = (radius + 0.5) / (RADIUS_OF_TABLE + 0.5)
+    own = (np.arange(150) - RIM + 0.5) / scale - 0.5
+    told = depths(min(round(RIM / scale), RADIUS_OF_TABLE // 2))
+    np.testing.assert_allclose(found[150, :150], np.clip(own, told[0], told[-1]), atol=1e-12)
+    assert found[150, 149] == told[-1]
 
 
 def test_gaps_narrower_than_a_subset_are_no_borders_but_cracks_are() -> None:
