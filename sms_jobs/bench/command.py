@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
@@ -24,6 +25,8 @@ from sms_jobs.cli.output import Json
 from sms_jobs.discovery import told_names
 
 _WIDE = 240
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""What libraries of linear algebra are told in a worker, too: a second thread takes CPU time to wait."""
 
 
 def _group_names(incomplete: str) -> list[str]:
@@ -54,6 +57,7 @@ def bench(
 
     Example: sms bench --json phase fdr
     """
+    os.environ.update(_ONE_THREAD)  # before a group loads them
     chosen = [group_named(name) for name in dict.fromkeys(groups or sorted(all_groups()))]
     about = machine()
     started = time.monotonic()

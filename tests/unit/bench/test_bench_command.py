@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
+import pytest
 from support.command import answer, inside
+
+from sms_jobs.bench.command import bench
+from sms_jobs.errors import InvalidInput
 
 
 def test_bench_prints_one_object_for_programs() -> None:
@@ -29,3 +35,12 @@ def test_studies_are_listed() -> None:
         "studies"
     ].keys()
     assert "Table 6" in inside("study", "list").stdout
+
+
+def test_a_bench_has_one_thread_of_linear_algebra_as_a_worker_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    for name in names:
+        monkeypatch.setenv(name, "7")
+    with pytest.raises(InvalidInput):
+        bench(["nothing"])
+    assert [os.environ[name] for name in names] == ["1"] * 3
