@@ -17,6 +17,7 @@ from rich.table import Table
 from sms_jobs.bench.compilation import compile_seconds
 from sms_jobs.bench.figures import Figure, Run, machine
 from sms_jobs.bench.groups import all_groups, group_named
+from sms_jobs.bench.peers import ONE_THREAD
 from sms_jobs.bench.studies import all_studies, study_named
 from sms_jobs.bench.study import outputs, write
 from sms_jobs.cli import output
@@ -25,8 +26,6 @@ from sms_jobs.cli.output import Json
 from sms_jobs.discovery import told_names
 
 _WIDE = 240
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""What libraries of linear algebra are told in a worker, too: a second thread takes CPU time to wait."""
 
 
 def _group_names(incomplete: str) -> list[str]:
@@ -57,7 +56,7 @@ def bench(
 
     Example: sms bench --json phase fdr
     """
-    os.environ.update(_ONE_THREAD)  # before a group loads them
+    os.environ.update(ONE_THREAD)  # before a group loads them
     chosen = [group_named(name) for name in dict.fromkeys(groups or sorted(all_groups()))]
     about = machine()
     started = time.monotonic()

@@ -26,9 +26,10 @@ ROUNDS = 5
 SCRIPTS = Path(sms_jobs.__file__).parents[1] / "ops" / "peers"
 
 _SAID = "cpu_s "  # before the seconds of a round, among whatever else a program prints
-_ONE_THREAD = dict.fromkeys(
+ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
+"""What libraries are told: a second thread takes CPU time to wait."""
 
 Timed = Callable[[], float]
 """Does the work once and returns the CPU-seconds that it took."""
@@ -160,7 +161,7 @@ def _python(peers: Path) -> Path:
 
 
 def _environment() -> dict[str, str]:
-    return os.environ | _ONE_THREAD
+    return os.environ | ONE_THREAD
 
 
 def _reason(said: str) -> str:

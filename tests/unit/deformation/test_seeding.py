@@ -43,6 +43,15 @@ def test_means_of_blocks_leave_out_what_makes_none(factor: int, rng: np.random.G
         assert found[row, column] == pytest.approx(block.mean(), rel=1e-12)
 
 
+def test_an_image_smaller_than_a_block_has_none_and_is_searched_finely(rng: np.random.Generator) -> None:
+    image = rng.normal(size=(7, 60))
+    assert block_means(image, 8).shape == (0, 7)
+    wide = SearchSettings(400, 400, template_radius=20)
+    at = np.array([30]), np.array([3])
+    _, _, score = seed_displacements(image, image, np.ones(image.shape, np.int32), *at, wide)
+    assert score[0] == pytest.approx(1.0, abs=1e-5)  # in single precision
+
+
 def test_a_lag_with_little_overlap_is_no_match(rng: np.random.Generator) -> None:
     template, image = rng.uniform(size=(8, 8)), rng.uniform(size=(20, 20))
     searched = np.zeros((20, 20), bool)

@@ -136,6 +136,8 @@ def block_means(image: Floats, factor: int) -> Floats:
     import cv2
 
     rows, columns = (n // factor for n in image.shape)
+    if not rows or not columns:
+        return np.zeros((rows, columns))
     whole = image[: rows * factor, : columns * factor]
     return np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
 
