@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore
-from sms_jobs.catalogue import audit, people, renewal, schema
-from sms_jobs.catalogue.audit import Deed
+from sms_jobs.catalogue import people, renewal, schema
 from sms_jobs.catalogue.database import Catalogue
+from sms_jobs.catalogue.deeds import Deed
 from sms_jobs.errors import CatalogueDamaged, CatalogueEmpty, ConfigurationError
 from sms_jobs.records.people import Actor, Role, without_secrets
 from sms_jobs.records.texts import checked_text
@@ -173,6 +173,8 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
 
 def _begin_chain(catalogue: Catalogue, actor: Actor, why: str) -> None:
     """Let the first link of a catalogue that was made anew say so."""
+    from sms_jobs.catalogue import audit
+
     with catalogue.writing() as session:
         audit.append(session, Deed(replace(actor, reason=why), "audit.begin", {}), datetime.now(UTC))
 

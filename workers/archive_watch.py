@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import WorkerRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import SmsError, StorageFull, StorageUnusable
 from sms_jobs.jobs.notifying import notices
 from sms_jobs.jobs.running import queues, recovery

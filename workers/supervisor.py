@@ -21,7 +21,8 @@ from sqlalchemy import exists, func, select
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import job_counts, sealing, upkeep
-from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.running import limits, recovery
 from sms_jobs.jobs.running.limits import Limits, Watch

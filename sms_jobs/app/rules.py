@@ -14,7 +14,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from pydantic import SecretStr
 
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.audit import Deed
+from sms_jobs.catalogue.deeds import Deed
 from sms_jobs.errors import NotAllowed, PasswordNeeded
 from sms_jobs.records.people import RIGHTS, Right, without_secrets
 from sms_jobs.records.texts import harmless

@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import re
 from datetime import UTC
+from typing import TYPE_CHECKING
 
-from sms_jobs.archive.provenance import Provenance
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.subject import RESERVED_NAME, Subject, checked_name
+
+if TYPE_CHECKING:
+    from sms_jobs.archive.provenance import Provenance
 
 CALIBRATIONS = RESERVED_NAME
 SET_ASIDE = ".set-aside"

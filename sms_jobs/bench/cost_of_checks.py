@@ -25,7 +25,7 @@ from sms_jobs.archive.provenance import provenance_from_json
 from sms_jobs.bench.tampering import now, registered, runner, url
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import ResolvedInput
 from sms_jobs.jobs.planning.graph import Request

@@ -25,8 +25,8 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import ArchiveCorrupt, OtherFormat, SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign

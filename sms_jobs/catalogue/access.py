@@ -8,7 +8,8 @@ from datetime import datetime
 from sqlalchemy import ColumnElement, select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.tables.people import AccessRow, PersonRow
+from sms_jobs.catalogue.tables.access import AccessRow
+from sms_jobs.catalogue.tables.people import PersonRow
 from sms_jobs.errors import NotFound
 from sms_jobs.records.shown.people import AccessView
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import func, select, text, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import EventRow
+from sms_jobs.catalogue.deeds import Deed
 from sms_jobs.catalogue.tables.audit import AuditRow
+from sms_jobs.catalogue.tables.jobs import EventRow
 from sms_jobs.errors import CatalogueDamaged
 from sms_jobs.records.people import Actor, Role
 
@@ -30,25 +30,6 @@ _AT_ONCE = 5_000
 _UNREADABLE = (ValueError, LookupError, TypeError, AttributeError)
 """What is raised where a value of a row is none that its column can have; SQLite takes any."""
 _SERVICE = Actor("service", Role.ADMINISTRATOR, "service", "")
-
-
-@dataclass(frozen=True)
-class Deed:
-    """Something that an actor does and that is kept.
-
-    Attributes
-    ----------
-    actor
-        Who does it.
-    action
-        Name of the use case, as `jobs.cancel`.
-    arguments
-        That were given to it, as JSON.
-    """
-
-    actor: Actor
-    action: str
-    arguments: dict[str, object]
 
 
 def append(session: Session, deed: Deed, now: datetime) -> AuditRow:

@@ -14,8 +14,9 @@ from pydantic import TypeAdapter
 from sqlalchemy import func, insert, select
 from sqlalchemy.orm import Session, undefer
 
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow, SpecimenRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 from sms_jobs.errors import Conflict, NotFound, did_you_mean
 
 if TYPE_CHECKING:
@@ -108,11 +109,6 @@ def bring_up_to_date(session: Session, row: CampaignRow, after: Campaign) -> Non
                 session.add(ChannelRow(state_id=number, name=name, value=value))
             else:
                 channel.value = value
-
-
-def number_of_campaigns(session: Session) -> int:
-    """Return how many campaigns there are."""
-    return session.scalar(select(func.count()).select_from(CampaignRow)) or 0
 
 
 def number_of_states(session: Session, numbers: Sequence[int]) -> dict[int, int]:

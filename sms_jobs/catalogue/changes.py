@@ -7,10 +7,11 @@ from collections.abc import Iterable, Sequence
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.changes import ChangeRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.changes import Followed
 from sms_jobs.records.subject import Subject

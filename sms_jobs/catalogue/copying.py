@@ -15,8 +15,9 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.catalogue.tables.every import METADATA, written_tables
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import ConfigurationError, Conflict
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 from sms_jobs.records.sizes import number_of

@@ -26,8 +26,8 @@ from sqlalchemy.exc import (
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 
-from sms_jobs.catalogue import audit, readable
-from sms_jobs.catalogue.audit import Deed
+from sms_jobs.catalogue import readable
+from sms_jobs.catalogue.deeds import Deed
 from sms_jobs.errors import (
     CatalogueBusy,
     CatalogueDamaged,
@@ -174,6 +174,9 @@ class Catalogue:
             yield session
             session.flush()
             if self._deed is not None and changes is not None and changes.some:
+                # Who reads alone needs neither.
+                from sms_jobs.catalogue import audit
+
                 audit.append(session, self._deed, datetime.now(UTC))
             try:
                 session.commit()

@@ -15,7 +15,7 @@ from sqlalchemy import delete, func, insert, select, text
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobCountRow, JobRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
 from sms_jobs.records.job import JobState
 
 TRIGGERS = frozenset({"job_count_added", "job_count_changed", "job_count_removed"})
@@ -56,6 +56,14 @@ def counted(
     return {tuple(row[:-1]): int(row[-1]) for row in session.execute(query)}
 
 
+def by_state(
+    session: Session, campaigns: Collection[int] | None = None, kind: str | None = None
+) -> dict[str, int]:
+    """Return how many jobs are in each state; parameters are those of `counted`."""
+    kept = counted(session, JobCountRow.state, campaigns=campaigns, kind=kind)
+    return {state.value: count for (state,), count in kept.items()}
+
+
 def fold(catalogue: Catalogue) -> None:
     """Add up what changes of jobs have left on PostgreSQL, which is read whenever jobs are counted."""
     if catalogue.dialect == "sqlite":
@@ -68,16 +76,24 @@ def fold(catalogue: Catalogue) -> None:
 
 def differ(session: Session) -> bool:
     """Say whether the counts are others than those of the jobs themselves, all of which are looked at."""
-    job, count = (tuple(getattr(row, name) for name in _KEY) for row in (JobRow, JobCountRow))
-    jobs = {tuple(row[:-1]): row[-1] for row in session.execute(select(*job, func.count()).group_by(*job))}
-    return jobs != counted(session, *count)
+    columns = _keys_of_jobs()
+    query = select(*columns, func.count()).group_by(*columns)
+    jobs = {tuple(row[:-1]): row[-1] for row in session.execute(query)}
+    return jobs != counted(session, *(getattr(JobCountRow, name) for name in _KEY))
 
 
 def count_again(session: Session) -> None:
     """Count all jobs anew; nobody may change one meanwhile."""
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("LOCK TABLE job IN SHARE MODE"))
-    columns = [getattr(JobRow, name) for name in _KEY]
+    columns = _keys_of_jobs()
     jobs = select(*columns, text("0"), func.count()).group_by(*columns)
     session.execute(delete(JobCountRow))
     session.execute(insert(JobCountRow).from_select([*_KEY, "part", "jobs"], jobs))
+
+
+def _keys_of_jobs() -> list[InstrumentedAttribute[Any]]:
+    # Whoever asks for counts alone need not map the jobs themselves.
+    from sms_jobs.catalogue.tables.jobs import JobRow
+
+    return [getattr(JobRow, name) for name in _KEY]

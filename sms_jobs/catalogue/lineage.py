@@ -11,7 +11,7 @@ from datetime import datetime
 from sqlalchemy import func, insert, literal, select, union
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.models import BigId
+from sms_jobs.catalogue.tables.base import BigId
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
 from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow, ReadingRow
 from sms_jobs.records.recording import mean_readings

@@ -10,10 +10,12 @@ from sqlalchemy import ColumnElement, Select, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, RigRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import NotFound
 from sms_jobs.records.shown.files import CalibrationView, FileView
 from sms_jobs.records.shown.times import known_time

@@ -8,8 +8,9 @@ from typing import Any
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.records.subject import Subject
 
 

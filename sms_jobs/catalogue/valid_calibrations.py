@@ -13,10 +13,11 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import rig_row
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow, RigRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ProvenanceRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.records.shown.changes import Followed
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.times import UNTIMED

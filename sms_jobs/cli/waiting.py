@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from sms_jobs.cli import output
 from sms_jobs.cli.output import clock, duration
-from sms_jobs.records.shown.estimates import Estimate, Outlook
 from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
     from sms_jobs.app.work.waiting import Waited, Waiting
+    from sms_jobs.records.shown.estimates import Estimate, Outlook
 
 _NO_WORKER = "no worker is there: start one with 'sms up'"
 _STARTS_WITHIN_S = 10.0

@@ -17,8 +17,8 @@ from sms_jobs import bootstrap
 from sms_jobs.app.work import jobs
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.files import ResultRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.kinds import all_kinds
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.job import JobState

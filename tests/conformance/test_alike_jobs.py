@@ -14,7 +14,7 @@ from support.remembered import Remembering
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import InvalidInput, LeaseLost
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit

@@ -7,8 +7,8 @@ from support.archives import Clock, emptied, registered, run_jobs, work_again
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive
 from sms_jobs.catalogue import family, subject_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.foreseen import foreseen_reuse
 from sms_jobs.jobs.planning.graph import Request

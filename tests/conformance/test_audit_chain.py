@@ -17,10 +17,10 @@ from support.homes import make_home
 from support.jobs import JOBS, NOW, submit_pipeline
 
 from sms_jobs.catalogue import audit, sealing
-from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow
+from sms_jobs.catalogue.deeds import Deed
 from sms_jobs.catalogue.tables.audit import AuditRow
+from sms_jobs.catalogue.tables.jobs import EventRow
 from sms_jobs.catalogue.tables.saved_queries import SavedQueryRow
 from sms_jobs.records.job import JobState
 from sms_jobs.records.people import Actor, Role

@@ -15,9 +15,10 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import Archive, Checker, FolderStore, InputReference
 from sms_jobs.catalogue import search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, LoadStateRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.jobs.archiving import acceptances, calibration_choice

@@ -12,7 +12,7 @@ from support.archives import Clock, registered, run_jobs
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.running.remarks import remarks

@@ -17,10 +17,11 @@ from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs.catalogue import copying, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
 from sms_jobs.catalogue.tables.every import written_tables
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import LockRow, QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import ConfigurationError, Conflict, OtherFormat
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.running import lifecycle, queues

@@ -15,8 +15,9 @@ from support.jobs import JOBS, NOW, accept_calibration, submit_pipeline
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.estimates import ends, estimate, pace
 from sms_jobs.jobs.planning.graph import Request

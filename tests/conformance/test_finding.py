@@ -23,14 +23,15 @@ from sms_jobs import bootstrap
 from sms_jobs.app.row_tables import write_parquet
 from sms_jobs.bench.large import many_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow
 from sms_jobs.catalogue.queries import files as query_files
 from sms_jobs.catalogue.queries import saved
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.files import find_page, restricted
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, StatisticRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.records.shown.files import Page

@@ -26,12 +26,13 @@ from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.bench.large import many_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.files import restricted
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.queries.states import find_page
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ReadingRow, StatisticRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 from sms_jobs.cli.found_states import _shown
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.portion import Portion

@@ -15,7 +15,7 @@ from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.registration import register_calibration

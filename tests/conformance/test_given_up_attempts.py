@@ -8,7 +8,7 @@ import pytest
 from support.jobs import NOW, claim, ids, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.running import lifecycle, orders, recovery
 from sms_jobs.records.job import UNSUCCESSFUL, JobState

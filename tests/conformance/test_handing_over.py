@@ -10,8 +10,8 @@ from support.archives import Clock, registered, runner
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.saved_queries import SavedQueryRow
 from sms_jobs.errors import CommitInDoubt, ServerUnreachable
 from sms_jobs.jobs.planning.graph import Request

@@ -15,7 +15,8 @@ from support.jobs import JOBS, NOW, claim, submit_pipeline
 from sms_jobs.app.home import database
 from sms_jobs.catalogue import job_counts, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobCountRow, JobRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow, OutboxRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.monitoring import health

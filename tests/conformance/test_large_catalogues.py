@@ -11,7 +11,8 @@ from support.statements import heard
 
 from sms_jobs.catalogue import campaigns, schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.estimates import estimate

@@ -11,7 +11,7 @@ from sqlalchemy import select, update
 from support.jobs import JOBS, NOW, claim, events, ids, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import OutboxRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost
 from sms_jobs.jobs.asking import inquiry

@@ -11,7 +11,7 @@ from sqlalchemy import select
 from support.jobs import NOW, claim, events, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import JobDeviceRow, LockRow
 from sms_jobs.errors import Conflict, DevicesBusy, LeaseLost, NotFound
 from sms_jobs.jobs.asking import explanation

@@ -18,8 +18,8 @@ from sms_jobs.bench.large import many_jobs
 from sms_jobs.bench.large.many_jobs import SECONDS, fill_queue, name_of
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.parts import AT_ONCE
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import InvalidInput, WaitTimedOut
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning import chosen, coming

@@ -20,7 +20,7 @@ from support.receivers import webhook
 from sms_jobs.archive import Archive
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.notifications import NotificationRow, OccurrenceRow, SubscriptionRow
 from sms_jobs.jobs.notifying import deliveries, notices
 from sms_jobs.jobs.notifying.deliveries import Delivery

@@ -18,8 +18,9 @@ from support.deployments import Deployment
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
 from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.tables.access import AccessRow
 from sms_jobs.catalogue.tables.audit import AuditRow
-from sms_jobs.catalogue.tables.people import AccessRow, PersonRow
+from sms_jobs.catalogue.tables.people import PersonRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound
 from sms_jobs.records.people import ANONYMOUS, Actor, Role
 

@@ -11,8 +11,8 @@ from support.jobs import JOBS, NOW, add_calibration_file, claim, state, submit_p
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import PlanOutdated
 from sms_jobs.jobs.asking import inquiry

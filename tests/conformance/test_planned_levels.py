@@ -18,8 +18,8 @@ from support.jobs import NOW
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow, PlannedRecordingRow
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs.archiving.importing import add_states

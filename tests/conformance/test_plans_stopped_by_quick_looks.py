@@ -12,8 +12,8 @@ from support.jobs import NOW, add_calibration_file
 
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.notifications import OccurrenceRow
 from sms_jobs.jobs.recording import due_recordings, planned_recordings, quick_looks, shown_plans
 from sms_jobs.records.campaign import LoadState

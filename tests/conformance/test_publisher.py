@@ -16,8 +16,9 @@ from support.deployments import Deployment
 from support.jobs import submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import OutboxRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.running import doorbell, queues, recovery
 from sms_jobs.records.job import ALIVE_WITHIN
 from sms_jobs.settings import Settings

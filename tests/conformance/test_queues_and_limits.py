@@ -9,7 +9,7 @@ import pytest
 from support.jobs import NOW, claim, ids, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import Cancelled, Conflict, OverLimit
 from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.chosen import by_ids

@@ -16,7 +16,7 @@ from support.sessions import small_session
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs.archiving.importing import amend_campaign, with_readings, with_states
 from sms_jobs.jobs.archiving.registration import defined, register_calibration

@@ -11,8 +11,8 @@ from support.archives import Clock, everything, registered, run_jobs
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.keeping import retention, verification
 from sms_jobs.jobs.planning.graph import Request

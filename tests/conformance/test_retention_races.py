@@ -18,9 +18,10 @@ from support.jobs import NOW, claim, ids, submit_pipeline
 
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow, RigRow
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow
 from sms_jobs.catalogue.tables.files import FileRow, ResultRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.keeping import retention

@@ -10,7 +10,7 @@ from sqlalchemy import select, update
 from support.jobs import JOBS, NOW, REQUESTS, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.schedules import ScheduleFireRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
 from sms_jobs.jobs.asking import inquiry

@@ -11,7 +11,7 @@ from support.jobs import submit_pipeline
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.saved_queries import SavedQueryRow
 from sms_jobs.errors import OtherFormat
 

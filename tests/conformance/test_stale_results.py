@@ -9,7 +9,7 @@ from support.archives import Clock, registered, run_jobs
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.asking import campaign_matrix, explanation
 from sms_jobs.jobs.planning.graph import Request
 

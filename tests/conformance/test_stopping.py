@@ -12,7 +12,7 @@ from support.deployments import Deployment
 from support.homes import make_home
 from support.jobs import JOBS
 
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.records.job import JobState
 

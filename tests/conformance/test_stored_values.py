@@ -11,7 +11,8 @@ from support.deployments import Deployment
 
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, SpecimenRow
+from sms_jobs.catalogue.tables.campaigns import SpecimenRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.saved_queries import SavedQueryRow
 from sms_jobs.errors import InvalidInput
 

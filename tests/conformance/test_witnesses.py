@@ -10,7 +10,7 @@ from sqlalchemy import select
 from support.jobs import NOW, claim, state, submit_pipeline
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import WorkerRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.running import lifecycle, recovery
 from sms_jobs.jobs.running.lifecycle import Claim
 from sms_jobs.jobs.running.origin import Origin

@@ -21,7 +21,7 @@ from support.fault_campaign import FaultCampaign, Place, Verdict, judge, prepare
 from support.missing import do_without
 from support.servers import PostgresqlServer, RedisServer, postgresql_programs
 
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 
 KILLS = (
     *(5 * ["busy process killed"]),

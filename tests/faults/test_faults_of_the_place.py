@@ -21,7 +21,8 @@ from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.keeping import verification
 from sms_jobs.jobs.planning.graph import Request

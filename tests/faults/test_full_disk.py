@@ -15,8 +15,8 @@ from support.deployments import Deployment
 from support.homes import make_home
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
 from sms_jobs.jobs.running import orders, queues

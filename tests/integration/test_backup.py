@@ -22,10 +22,10 @@ from sms_jobs import settings as settings_file
 from sms_jobs.archive import Archive, FolderStore, layout
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import inquiry, standing
 from sms_jobs.jobs.keeping import backups, verification
 from sms_jobs.jobs.planning.chosen import by_ids
 from sms_jobs.jobs.planning.graph import Request
@@ -76,7 +76,7 @@ def test_every_snapshot_fits_its_files_whatever_jobs_seal_meanwhile(home: Path, 
     with bootstrap.services(home) as services:
         with service(home):
             jobs = submit_recording(services)
-            while not stood or inquiry.still_active(stood[-1]):
+            while not stood or standing.still_active(stood[-1]):
                 with services.catalogue.reading() as session:
                     stood.append(inquiry.counts(session, by_ids(jobs)))
                 back_up(services, kept, NOW + timedelta(seconds=len(stood)))

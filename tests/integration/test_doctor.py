@@ -34,7 +34,7 @@ from sms_jobs.app.home.doctor import Examined, examine
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import WorkerRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.monitoring import health
 from sms_jobs.jobs.running import lifecycle, liveness, queues, recovery
 from sms_jobs.jobs.running.origin import Origin, started_at

@@ -24,7 +24,8 @@ from support.homes import make_home
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import Terms, submit
 from sms_jobs.records.job import ACTIVE, JobState

@@ -27,7 +27,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.home.service import metrics
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import WorkerRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.monitoring.metrics import gather
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.running import lifecycle, orders, queues, recovery

@@ -21,7 +21,8 @@ from support.homes import make_home
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import EventRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.records.job import JobState
 
 

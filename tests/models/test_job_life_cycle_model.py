@@ -31,8 +31,8 @@ from support.sealing import provenance
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, InputReference, Sealed
 from sms_jobs.catalogue import schema
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import Cancelled, Conflict, LeaseLost, NotFound, OverLimit
 from sms_jobs.jobs.archiving import indexing

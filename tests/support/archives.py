@@ -14,8 +14,8 @@ from sqlalchemy.orm import aliased
 from sms_jobs.archive import Archive, Checker
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, JobRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.tables.every import METADATA
 from sms_jobs.catalogue.tables.files import (
     FileRow,
@@ -25,7 +25,9 @@ from sms_jobs.catalogue.tables.files import (
     ResultRow,
     StatisticRow,
 )
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices.stations import Stations
 from sms_jobs.jobs.planning.graph import Request

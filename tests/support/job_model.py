@@ -16,9 +16,10 @@ from sqlalchemy import delete, select
 
 from sms_jobs.catalogue import campaigns, job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobCountRow, JobRow
 from sms_jobs.catalogue.tables.every import written_tables
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import OutboxRow
 from sms_jobs.jobs.running import recovery
 from sms_jobs.jobs.running.lifecycle import Claim

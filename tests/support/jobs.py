@@ -9,8 +9,8 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning.graph import Existing, Request, plan

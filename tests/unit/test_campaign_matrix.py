@@ -23,8 +23,8 @@ from sms_jobs.app.work import jobs
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, ResultRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.cli import campaign as command
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds import all_kinds

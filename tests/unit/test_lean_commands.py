@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.homes import make_home
 
-from sms_jobs.catalogue import schema
+from sms_jobs.catalogue import schema, tables
 from sms_jobs.cli.commands import COMMANDS
 from sms_jobs.cli.data import TABLE as DATA
 
@@ -42,12 +42,11 @@ STATUS = {
     "app": "rules",
     "app.home": "service",
     "archive": "archive checking damage folder form layout memory place provenance sealing store",
-    "catalogue": "audit campaigns database job_counts models parts people readable renewal schema",
-    "catalogue.tables": "audit columns people",
+    "catalogue": "database deeds job_counts people readable renewal schema",
+    "catalogue.tables": "base campaigns columns job_counts people workers",
     "cli": "app commands output service waiting",
-    "jobs.asking": "inquiry",
+    "jobs.asking": "standing",
     "jobs.devices": "disks",
-    "jobs.planning": "chosen",
     "jobs.recording": "any_plans",
     "records": "job numbers people plain sizes subject texts times views",
     "records.shown": "estimates planned_recordings",
@@ -141,6 +140,29 @@ def test_what_asks_some_tables_maps_no_others(home: Path) -> None:
     asking = ("status", "job list", "campaign list", "data find", "worker list")
     found = modules(*asking, home=home)
     assert [words for words in asking if "sms_jobs.catalogue.tables.every" in found[words]] == []
+
+
+def test_a_module_of_tables_brings_those_that_its_own_refer_to() -> None:
+    alone = (
+        "import os, sys\n"
+        "from importlib import import_module\n"
+        "from sqlalchemy.orm import configure_mappers\n"
+        "from sms_jobs.catalogue.tables.base import Table\n"
+        "for name in sys.argv[1:]:\n"
+        "    if os.fork() == 0:\n"
+        "        import_module(f'sms_jobs.catalogue.tables.{name}')\n"
+        "        configure_mappers()\n"
+        "        print(name, len(Table.metadata.sorted_tables), flush=True)\n"
+        "        os._exit(0)\n"
+        "    os.wait()\n"
+    )
+    names = [file.stem for file in Path(tables.__path__[0]).glob("[a-z]*.py")]
+    done = subprocess.run([sys.executable, "-c", alone, *names], capture_output=True, text=True, check=True)
+    mapped = {name: int(number) for name, number in map(str.split, done.stdout.splitlines())}
+    # Where a table referred to one that is not loaded, it could not be sorted, and its process would end.
+    assert set(mapped) == set(names), done.stderr
+    assert mapped["states"] == 5
+    assert mapped["every"] > 30
 
 
 def test_what_tab_offers_needs_nothing_that_computes(home: Path) -> None:

@@ -11,7 +11,7 @@ from support.jobs import NOW
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.campaigns import campaign_id
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.records.gauges import GaugeReadings
 from sms_jobs.records.job import JobState
 from sms_jobs.virtual_rig.campaigns import small_plate

@@ -15,7 +15,7 @@ from support.homes import initialised
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaigns
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.events import typed_event
 from sms_jobs.virtual_rig.campaigns import small_plate

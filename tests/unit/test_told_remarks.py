@@ -16,7 +16,7 @@ from sms_jobs.app.measuring.recordings import Recorded
 from sms_jobs.app.work import jobs
 from sms_jobs.app.work.jobs import Work
 from sms_jobs.app.work.waiting import Waited
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.cli import acquire, waiting
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.remarks import Remarks

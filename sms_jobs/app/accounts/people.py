@@ -22,9 +22,10 @@ from sms_jobs.app.rules import Rule, require, use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import access, audit
 from sms_jobs.catalogue import people as known
-from sms_jobs.catalogue.audit import Deed
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.tables.people import AccessRow, PersonRow
+from sms_jobs.catalogue.deeds import Deed
+from sms_jobs.catalogue.tables.access import AccessRow
+from sms_jobs.catalogue.tables.people import PersonRow
 from sms_jobs.errors import Conflict, InvalidInput, NotAllowed, NotFound
 from sms_jobs.records.people import NOT_FOR_PEOPLE, SECRET_PREFIX, Actor, Right, Role, without_secrets
 from sms_jobs.records.shown.people import AccessView, PersonView

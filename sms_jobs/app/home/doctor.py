@@ -21,7 +21,7 @@ from sms_jobs import settings as settings_file
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import schema
 from sms_jobs.errors import SmsError
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import standing
 from sms_jobs.jobs.devices import disks
 from sms_jobs.jobs.monitoring import health
 from sms_jobs.jobs.running import liveness
@@ -180,7 +180,7 @@ def _of_the_service(services: Services) -> dict[str, Examination]:
     def workers() -> Examined:
         with services.catalogue.reading() as session:
             now = datetime.now(UTC)
-            alive = len(inquiry.workers(session, now - ALIVE_WITHIN))
+            alive = len(standing.workers(session, now - ALIVE_WITHIN))
             return Examined(tuple(liveness.workers(session, now)), f"{alive} alive")
 
     def queues(session: Session, now: datetime) -> list[str]:

@@ -13,10 +13,10 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns
+from sms_jobs.catalogue import job_counts
 from sms_jobs.errors import InvalidInput, NotFound
-from sms_jobs.jobs.asking import inquiry
-from sms_jobs.jobs.asking.inquiry import WorkerView
+from sms_jobs.jobs.asking import standing
+from sms_jobs.jobs.asking.standing import WorkerView
 from sms_jobs.jobs.devices import disks
 from sms_jobs.jobs.recording.any_plans import any_plans
 from sms_jobs.records.job import ALIVE_WITHIN
@@ -75,8 +75,8 @@ def status(services: Services) -> Status:
     """Return how a home stands."""
     with services.catalogue.reading() as session:
         # Among a million jobs counting is most of the work: it is done once.
-        counted = inquiry.counts(session)
-        active = inquiry.still_active(counted)
+        counted = job_counts.by_state(session)
+        active = standing.still_active(counted)
         ahead, ends_at = _ahead(session, services.settings.workers) if active else (None, {})
         return Status(
             services.settings.home,
@@ -84,9 +84,9 @@ def status(services: Services) -> Status:
             services.archive.where,
             services.archive.room().free_bytes,
             disks.spool_free_bytes(services.settings.spool_folder, services.settings.archive_root),
-            campaigns.number_of_campaigns(session),
+            standing.number_of_campaigns(session),
             counted,
-            tuple(inquiry.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
+            tuple(standing.workers(session, datetime.now(UTC) - ALIVE_WITHIN)),
             ahead,
             ends_at,
             _next_planned(session) if any_plans(session) else (),
@@ -151,7 +151,7 @@ def served(services: Services, listen: str) -> Iterator[None]:
 def workers(services: Services) -> list[WorkerView]:
     """Return the workers that have lately given a sign of life."""
     with services.catalogue.reading() as session:
-        return inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+        return standing.workers(session, datetime.now(UTC) - _SHOWN_FOR)
 
 
 @use_case(Right.ADMINISTER)
@@ -163,7 +163,7 @@ def drain(services: Services, worker: str) -> str:
     from sms_jobs.jobs.running import recovery
 
     with services.catalogue.writing() as session:
-        recent = inquiry.workers(session, datetime.now(UTC) - _SHOWN_FOR)
+        recent = standing.workers(session, datetime.now(UTC) - _SHOWN_FOR)
         matching = [w.id for w in recent if worker and w.id.startswith(worker)]
         if len(matching) != 1:
             which = "are several workers" if matching else "is no worker"

@@ -11,7 +11,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns, valid_calibrations
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import inquiry, standing
 from sms_jobs.jobs.asking.inquiry import CampaignView
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.records.people import Right
@@ -174,7 +174,7 @@ def list_campaigns(services: Services, limit: int = 50) -> Campaigns:
     """Return campaigns, the newest first."""
     with services.catalogue.reading() as session:
         rows = inquiry.list_campaigns(session, limit)
-        return Campaigns(tuple(rows), campaigns.number_of_campaigns(session))
+        return Campaigns(tuple(rows), standing.number_of_campaigns(session))
 
 
 @use_case(Right.READ)

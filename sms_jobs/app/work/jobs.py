@@ -12,7 +12,7 @@ from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import search, upkeep
 from sms_jobs.errors import Conflict, InvalidInput
-from sms_jobs.jobs.asking import explanation, inquiry, runs
+from sms_jobs.jobs.asking import explanation, inquiry, runs, standing
 from sms_jobs.jobs.asking.inquiry import Event, JobView
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
@@ -235,7 +235,7 @@ def remaining(services: Services, campaign: str | None = None) -> Remaining:
     """Return how the jobs of a campaign, or all, come along."""
     with services.catalogue.reading() as session:
         scope = chosen.of_campaign(session, campaign)
-        active = inquiry.still_active(inquiry.counts(session, scope))
+        active = standing.still_active(inquiry.counts(session, scope))
         return Remaining(active, outlook(session, scope, services.settings.workers) if active else None)
 
 

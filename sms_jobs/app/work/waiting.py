@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import JobFailed, WaitTimedOut
-from sms_jobs.jobs.asking import inquiry
+from sms_jobs.jobs.asking import inquiry, standing
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.estimates import outlook
 from sms_jobs.jobs.running.empty_results import EmptyResults, empty_results
@@ -131,7 +131,7 @@ def wait_for(
         with services.catalogue.reading() as session:
             counted = inquiry.counts(session, some)
             running = inquiry.running(session, some)
-            active = inquiry.still_active(counted)
+            active = standing.still_active(counted)
             if active and looked >= (soonest if counted != before else outlook_at):
                 ahead = outlook(session, some, services.settings.workers)
                 soonest = looked + _SHARE * (time.monotonic() - looked)

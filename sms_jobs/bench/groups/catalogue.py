@@ -14,11 +14,11 @@ from sms_jobs.bench.figures import REPEATS, Condition, Figure, Found, Group, Run
 from sms_jobs.bench.large import many_files, many_jobs
 from sms_jobs.bench.large.questions import QUESTIONS, answers
 from sms_jobs.bench.servers import POSTGRESQL, environment, fresh_postgresql
-from sms_jobs.catalogue.campaigns import number_of_campaigns
 from sms_jobs.catalogue.database import Catalogue
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.files import find_page
 from sms_jobs.catalogue.queries.language import parse
+from sms_jobs.jobs.asking.standing import number_of_campaigns
 
 _FILES, _QUICK_FILES = 1_000_000, 20_000
 _TARGET_MS = 10.0

@@ -19,7 +19,7 @@ from sms_jobs import bootstrap
 from sms_jobs.bench.figures import Condition, Figure, Found, Group, Run
 from sms_jobs.bench.servers import POSTGRESQL, REDIS, environment, fresh_postgresql
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.planning.graph import Request

@@ -25,18 +25,9 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import copying, job_counts, upkeep
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import (
-    BigId,
-    CampaignRow,
-    ChannelRow,
-    JobRow,
-    JobStateColumn,
-    LoadStateRow,
-    RigRow,
-    SpecimenRow,
-    Table,
-)
+from sms_jobs.catalogue.tables.base import BigId, JobStateColumn, Table
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.tables.columns import UtcDateTime
 from sms_jobs.catalogue.tables.files import (
     FileRow,
@@ -46,6 +37,8 @@ from sms_jobs.catalogue.tables.files import (
     ResultRow,
     StatisticRow,
 )
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 from sms_jobs.records.job import JobState
 from sms_jobs.records.views import view_of
 

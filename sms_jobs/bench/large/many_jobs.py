@@ -18,8 +18,8 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns, job_counts, upkeep, valid_calibrations
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow, OutboxRow
 from sms_jobs.jobs.running import recovery
 from sms_jobs.kinds.kind import CALIBRATION

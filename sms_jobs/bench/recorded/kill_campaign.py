@@ -21,8 +21,8 @@ from sqlalchemy import func, select
 
 from sms_jobs import bootstrap
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.planning.graph import Request

@@ -21,8 +21,8 @@ from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings, recordings
 from sms_jobs.app.measuring.planned_recordings import AtLoad
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.errors import ArchiveCorrupt, Conflict, ServerUnreachable, SmsError
 from sms_jobs.instruments.kept_sets import finished_sets
 from sms_jobs.instruments.spool import Spooled

@@ -18,8 +18,8 @@ from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings, quick_looks
 from sms_jobs.app.measuring.planned_recordings import InTime
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import LoadStateRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import ServerUnreachable, SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.kinds.kind import MEASUREMENT

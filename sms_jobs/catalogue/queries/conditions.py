@@ -18,7 +18,6 @@ from sqlalchemy import (
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
 from sms_jobs.catalogue.parts import AT_ONCE
 from sms_jobs.catalogue.queries.comparisons import Comparisons, expression, parameter_type
 from sms_jobs.catalogue.queries.fields import Fields, parameter_as
@@ -37,7 +36,9 @@ from sms_jobs.catalogue.queries.language import (
 )
 from sms_jobs.catalogue.queries.names import Field
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import NotFound
 
 

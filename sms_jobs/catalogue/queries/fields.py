@@ -15,11 +15,13 @@ from typing import Any, Literal
 from sqlalchemy import ColumnElement, Select, String, case, cast, func, literal, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, JobRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.queries.language import Name, Test, refuse
 from sms_jobs.catalogue.queries.names import Field, Resolver, Source, Type, built_in, listed, stored_name
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow, ResultRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 from sms_jobs.errors import did_you_mean
 
 

@@ -15,11 +15,12 @@ from typing import Any
 from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
-from sms_jobs.catalogue.models import CampaignRow, ChannelRow, LoadStateRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.queries.fields import different, file_fields
 from sms_jobs.catalogue.queries.language import A_COLUMN, Name, Query, Test, refuse
 from sms_jobs.catalogue.queries.names import Field, Resolver, Type, built_in, listed, stored_name
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow, SpecimenRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ReadingRow, StatisticRow
+from sms_jobs.catalogue.tables.states import ChannelRow, LoadStateRow
 
 SEEN = aliased(FileRow, name="seen")
 

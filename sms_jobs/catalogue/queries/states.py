@@ -13,7 +13,6 @@ from sqlalchemy import ColumnElement, Select, and_, exists, func, null, or_, sel
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import LoadStateRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.queries.comparisons import Comparisons, expression
 from sms_jobs.catalogue.queries.fields import Fields, Vocabulary
@@ -32,6 +31,7 @@ from sms_jobs.catalogue.queries.names import Field
 from sms_jobs.catalogue.queries.state_fields import SEEN, ResultStatistic, StateField, StateFields
 from sms_jobs.catalogue.queries.unknown_states import refuse_unknown_state
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.records.shown.portion import FIRST, Portion
 from sms_jobs.records.shown.states import FoundState, StatePage, Value

@@ -6,9 +6,9 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import LoadStateRow
 from sms_jobs.catalogue.queries.fields import different
 from sms_jobs.catalogue.queries.language import UNWRITTEN, Comparison, Query, conjuncts
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import NotFound, did_you_mean
 
 

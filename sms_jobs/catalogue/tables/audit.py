@@ -5,7 +5,7 @@ from typing import Any
 
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import BigId, Table
+from sms_jobs.catalogue.tables.base import BigId, Table
 from sms_jobs.catalogue.tables.columns import String, Text
 
 

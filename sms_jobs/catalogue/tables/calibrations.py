@@ -6,9 +6,10 @@ from typing import Any
 from sqlalchemy import ForeignKey, Index
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import Table
-from sms_jobs.catalogue.tables import files  # noqa: F401 - to whose rows they refer
+from sms_jobs.catalogue.tables.base import Table
+from sms_jobs.catalogue.tables.campaigns import RigRow
 from sms_jobs.catalogue.tables.columns import String, Text
+from sms_jobs.catalogue.tables.files import FileRow
 
 
 class CalibrationRow(Table):
@@ -17,8 +18,8 @@ class CalibrationRow(Table):
     __tablename__ = "calibration"
     __table_args__ = (Index(None, "rig_id", "valid_from"),)
     id: Mapped[int] = mapped_column(primary_key=True)
-    rig_id: Mapped[int] = mapped_column(ForeignKey("rig.id"))
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
+    rig_id: Mapped[int] = mapped_column(ForeignKey(RigRow.id))
+    file_id: Mapped[int] = mapped_column(ForeignKey(FileRow.id), unique=True)
     valid_from: Mapped[datetime]
     origin: Mapped[str] = mapped_column(Text)
     sensors: Mapped[dict[str, Any]]
@@ -35,7 +36,7 @@ class AcceptanceRow(Table):
     """Name of the only campaign that it is about; empty for all of the rig that have none of their own."""
     in_use: Mapped[bool]
     decided_at: Mapped[datetime]
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), unique=True)
+    file_id: Mapped[int] = mapped_column(ForeignKey(FileRow.id), unique=True)
 
 
 class CalibrationUseRow(Table):
@@ -44,4 +45,4 @@ class CalibrationUseRow(Table):
     __tablename__ = "calibration_use"
     __table_args__ = (Index(None, "file_id"),)
     calibration_id: Mapped[int] = mapped_column(ForeignKey("calibration.id"), primary_key=True)
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
+    file_id: Mapped[int] = mapped_column(ForeignKey(FileRow.id), primary_key=True)

@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import BigId, Table
+from sms_jobs.catalogue.tables.base import BigId, Table
 from sms_jobs.catalogue.tables.columns import MessageText, String
 
 

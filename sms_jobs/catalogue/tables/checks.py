@@ -5,16 +5,16 @@ from datetime import datetime
 from sqlalchemy import ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import Table
-from sms_jobs.catalogue.tables import files  # noqa: F401 - to whose rows they refer
+from sms_jobs.catalogue.tables.base import Table
 from sms_jobs.catalogue.tables.columns import String, Text
+from sms_jobs.catalogue.tables.files import FileRow
 
 
 class FileCheckRow(Table):
     """The last comparison of a file; one without a row was never compared since it was sealed."""
 
     __tablename__ = "file_check"
-    file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True, autoincrement=False)
+    file_id: Mapped[int] = mapped_column(ForeignKey(FileRow.id), primary_key=True, autoincrement=False)
     checked_at: Mapped[datetime]
     problem: Mapped[str | None] = mapped_column(String(16))
     """As in `jobs.verification.Problem`; None for a file that is as it was sealed."""

@@ -3,15 +3,18 @@
 A command loads the tables that it asks; to map a class takes as long as most questions.
 """
 
-from sqlalchemy import MetaData, Table
+import sqlalchemy
 
-from sms_jobs.catalogue import models
 from sms_jobs.catalogue.tables import (  # noqa: F401 - each adds its own
+    access,
     audit,
     calibrations,
+    campaigns,
     changes,
     checks,
     files,
+    job_counts,
+    jobs,
     notifications,
     people,
     planned,
@@ -19,11 +22,14 @@ from sms_jobs.catalogue.tables import (  # noqa: F401 - each adds its own
     runs,
     saved_queries,
     schedules,
+    states,
+    workers,
 )
+from sms_jobs.catalogue.tables.base import DERIVED, Table
 
-METADATA: MetaData = models.Table.metadata
+METADATA: sqlalchemy.MetaData = Table.metadata
 
 
-def written_tables() -> list[Table]:
+def written_tables() -> list[sqlalchemy.Table]:
     """Return the tables that the program writes itself, those first that others refer to."""
-    return [table for table in METADATA.sorted_tables if models.DERIVED not in table.info]
+    return [table for table in METADATA.sorted_tables if DERIVED not in table.info]

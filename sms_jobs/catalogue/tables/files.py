@@ -5,8 +5,11 @@ from datetime import datetime
 from sqlalchemy import BigInteger, ForeignKey, Index
 from sqlalchemy.orm import Mapped, mapped_column, validates
 
-from sms_jobs.catalogue.models import BigId, Table
+from sms_jobs.catalogue.tables.base import BigId, Table
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.columns import String, Text
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.records.views import view_of
 
 
@@ -32,13 +35,13 @@ class FileRow(Table):
     created_at: Mapped[datetime] = mapped_column(index=True)
     recorded_at: Mapped[datetime | None] = mapped_column(index=True)
     """When the last of the recordings that it shows was started; see `catalogue.lineage`."""
-    campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"))
-    state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"), index=True)
+    campaign_id: Mapped[int | None] = mapped_column(ForeignKey(CampaignRow.id))
+    state_id: Mapped[int | None] = mapped_column(ForeignKey(LoadStateRow.id), index=True)
     view: Mapped[str | None] = mapped_column(String(16))
     camera: Mapped[str | None] = mapped_column(String(8))
     """The reference camera of the view."""
     projector: Mapped[str | None] = mapped_column(String(8))
-    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+    job_id: Mapped[str | None] = mapped_column(ForeignKey(JobRow.id), index=True)
 
     @validates("view")
     def _name_its_sensors(self, _: str, view: str | None) -> str | None:
@@ -54,7 +57,7 @@ class MeasurementRow(Table):
     __tablename__ = "measurement"
     __table_args__ = (Index(None, "state_id", "view", "recorded_at"),)
     file_id: Mapped[int] = mapped_column(ForeignKey("file.id"), primary_key=True)
-    state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"))
+    state_id: Mapped[int] = mapped_column(ForeignKey(LoadStateRow.id))
     view: Mapped[str] = mapped_column(String(16))
     recorded_at: Mapped[datetime] = mapped_column(index=True)
 

@@ -5,7 +5,7 @@ from datetime import datetime
 from sqlalchemy import JSON, ForeignKey, Index, UniqueConstraint
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import BigId, Table
+from sms_jobs.catalogue.tables.base import BigId, Table
 from sms_jobs.catalogue.tables.columns import MessageText, String, Text
 
 

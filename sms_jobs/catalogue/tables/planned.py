@@ -6,8 +6,11 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, ForeignKey, false
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.base import Table
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.columns import MessageText, String
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 
 
 class PlannedRecordingRow(Table):
@@ -15,8 +18,8 @@ class PlannedRecordingRow(Table):
 
     __tablename__ = "planned_recording"
     id: Mapped[int] = mapped_column(primary_key=True)
-    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), index=True)
-    state_id: Mapped[int] = mapped_column(ForeignKey("load_state.id"), unique=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey(CampaignRow.id), index=True)
+    state_id: Mapped[int] = mapped_column(ForeignKey(LoadStateRow.id), unique=True)
     position: Mapped[int]
     """In which order those of a campaign come."""
     trigger: Mapped[dict[str, Any]]
@@ -32,7 +35,7 @@ class PlannedRecordingRow(Table):
     planned_by: Mapped[str] = mapped_column(String(80))
     due_at: Mapped[datetime | None]
     """When it was due, once it has started."""
-    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), unique=True)
+    job_id: Mapped[str | None] = mapped_column(ForeignKey(JobRow.id), unique=True)
     seen: Mapped[float | None]
     """What its channel read at `seen_at`, where it waits for one."""
     seen_at: Mapped[datetime | None]
@@ -52,7 +55,9 @@ class PlannedLevelsRow(Table):
     """A campaign that is given one more state, and a recording of it, at each load that is held."""
 
     __tablename__ = "planned_levels"
-    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), primary_key=True, autoincrement=False)
+    campaign_id: Mapped[int] = mapped_column(
+        ForeignKey(CampaignRow.id), primary_key=True, autoincrement=False
+    )
     channel: Mapped[str] = mapped_column(String(64))
     unit: Mapped[str] = mapped_column(String(64))
     """Of the channel's readings and of the numbers here."""
@@ -70,7 +75,7 @@ class PlannedLevelsRow(Table):
     """Of what is waited for; what was found to hold for another one adds nothing."""
     last: Mapped[float | None]
     """The level at which the last state was added; None before the first."""
-    last_state_id: Mapped[int | None] = mapped_column(ForeignKey("load_state.id"))
+    last_state_id: Mapped[int | None] = mapped_column(ForeignKey(LoadStateRow.id))
     last_file_id: Mapped[int] = mapped_column(BigInteger)
     """The newest measurement that there was then, 0 for none: one that came later tells where the test is."""
     planned_at: Mapped[datetime]

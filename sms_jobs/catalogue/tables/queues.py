@@ -5,21 +5,22 @@ from datetime import datetime
 from sqlalchemy import ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import BigId, Table
-from sms_jobs.catalogue.tables import files  # noqa: F401 - to whose rows they refer
+from sms_jobs.catalogue.tables.base import BigId, Table
 from sms_jobs.catalogue.tables.columns import String, Text
+from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 
 
 class DependencyRow(Table):
     """One input of a job: a file, or the job that will produce it."""
 
     __tablename__ = "dependency"
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey(JobRow.id), primary_key=True)
     role: Mapped[str] = mapped_column(String(256), primary_key=True)
     source: Mapped[str] = mapped_column(String(32))
     subject: Mapped[str] = mapped_column(String(200))
-    producer_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
-    file_id: Mapped[int | None] = mapped_column(ForeignKey("file.id"), index=True)
+    producer_id: Mapped[str | None] = mapped_column(ForeignKey(JobRow.id), index=True)
+    file_id: Mapped[int | None] = mapped_column(ForeignKey(FileRow.id), index=True)
 
 
 class OutboxRow(Table):
@@ -27,7 +28,7 @@ class OutboxRow(Table):
 
     __tablename__ = "outbox"
     id: Mapped[int] = mapped_column(BigId, primary_key=True)
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"))
+    job_id: Mapped[str] = mapped_column(ForeignKey(JobRow.id))
     queue: Mapped[str] = mapped_column(String(80))
 
 
@@ -46,7 +47,7 @@ class JobDeviceRow(Table):
     """A device that a job has to hold while it runs."""
 
     __tablename__ = "job_device"
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey(JobRow.id), primary_key=True)
     device: Mapped[str] = mapped_column(String(128), primary_key=True)
 
 
@@ -58,7 +59,7 @@ class LockRow(Table):
 
     __tablename__ = "lock"
     device: Mapped[str] = mapped_column(String(128), primary_key=True)
-    job_id: Mapped[str | None] = mapped_column(ForeignKey("job.id"), index=True)
+    job_id: Mapped[str | None] = mapped_column(ForeignKey(JobRow.id), index=True)
     fence: Mapped[int | None]
     holder: Mapped[str | None] = mapped_column(String(128))
     """A person or program that is no job, until `lease_until`."""

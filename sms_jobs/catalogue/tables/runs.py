@@ -6,8 +6,10 @@ from typing import Any
 from sqlalchemy import ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.base import Table
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.columns import String, Text
+from sms_jobs.catalogue.tables.jobs import JobRow
 
 
 class RunRow(Table):
@@ -30,7 +32,7 @@ class RunSubmissionRow(Table):
     __tablename__ = "run_submission"
     id: Mapped[int] = mapped_column(primary_key=True)
     run_id: Mapped[int] = mapped_column(ForeignKey("run.id"), index=True)
-    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
+    campaign_id: Mapped[int] = mapped_column(ForeignKey(CampaignRow.id))
     submitted_at: Mapped[datetime]
     submitted_by: Mapped[str] = mapped_column(String(80))
     asked: Mapped[dict[str, Any]]
@@ -42,4 +44,4 @@ class RunJobRow(Table):
 
     __tablename__ = "run_job"
     run_id: Mapped[int] = mapped_column(ForeignKey("run.id"), primary_key=True)
-    job_id: Mapped[str] = mapped_column(ForeignKey("job.id"), primary_key=True, index=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey(JobRow.id), primary_key=True, index=True)

@@ -4,7 +4,7 @@ from datetime import datetime
 
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.base import Table
 from sms_jobs.catalogue.tables.columns import String, Text
 
 

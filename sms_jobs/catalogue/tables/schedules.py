@@ -6,7 +6,7 @@ from typing import Any
 from sqlalchemy import ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from sms_jobs.catalogue.models import Table
+from sms_jobs.catalogue.tables.base import Table
 from sms_jobs.catalogue.tables.columns import MessageText, String
 
 

@@ -9,8 +9,8 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, valid_calibrations
-from sms_jobs.catalogue.models import RigRow
 from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.campaigns import RigRow
 from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
 from sms_jobs.catalogue.valid_calibrations import Sensors
 from sms_jobs.errors import Conflict, InvalidInput

@@ -17,8 +17,9 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.formats.importers.readings import Reading
 from sms_jobs.jobs.archiving.indexing import CAMPAIGN

@@ -12,10 +12,12 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE, InputReference, Provenance, Sealed
 from sms_jobs.catalogue import campaigns, lineage, subject_files, valid_calibrations
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow, ProvenanceRow, ResultRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import ArchiveCorrupt
 from sms_jobs.jobs.archiving import calibration_choice, decisions
 from sms_jobs.kinds import all_kinds

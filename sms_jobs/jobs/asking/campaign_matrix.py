@@ -11,9 +11,11 @@ from sqlalchemy import String, or_, select, true, type_coerce
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.subjects import at_states
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.jobs.results.stale import stale_files
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import MEASUREMENT

@@ -11,9 +11,10 @@ from sqlalchemy import ColumnElement, String, select, true, type_coerce
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_id
-from sms_jobs.catalogue.models import JobRow, LoadStateRow
 from sms_jobs.catalogue.subjects import at_states
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.kinds.recording.names import ACQUIRE
 from sms_jobs.records.job import ACTIVE, UNSUCCESSFUL, JobState

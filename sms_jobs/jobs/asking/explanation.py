@@ -8,9 +8,11 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import family
-from sms_jobs.catalogue.models import CampaignRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow, QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.running import empty_results
 from sms_jobs.records.job import ALIVE_WITHIN, SHORT_ID, JobState

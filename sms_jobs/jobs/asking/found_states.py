@@ -8,10 +8,11 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
 from sms_jobs.catalogue.queries.fields import Vocabulary
 from sms_jobs.catalogue.queries.language import parse
 from sms_jobs.catalogue.queries.states import find_page
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.kinds import all_kinds
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, REFERENCE_SURFACES

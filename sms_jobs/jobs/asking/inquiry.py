@@ -12,20 +12,14 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, job_counts
-from sms_jobs.catalogue.models import (
-    CampaignRow,
-    EventRow,
-    JobCountRow,
-    JobRow,
-    RigRow,
-    SpecimenRow,
-    WorkerRow,
-)
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow, SpecimenRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.chosen import Chosen
-from sms_jobs.records.job import ACTIVE, SHORT_ID, UNSUCCESSFUL, JobState
+from sms_jobs.records.job import SHORT_ID, UNSUCCESSFUL, JobState
 from sms_jobs.records.subject import Subject
 
 
@@ -141,11 +135,6 @@ def counts(session: Session, some: Chosen | None = None) -> dict[str, int]:
     return dict(Counter(chosen.by_state(session, some)) - Counter(some.ended_before))
 
 
-def still_active(counted: dict[str, int]) -> int:
-    """Return how many of some counted jobs have not ended."""
-    return sum(counted.get(state.value, 0) for state in ACTIVE)
-
-
 @dataclass(frozen=True)
 class Event:
     """A change of a job's state."""
@@ -160,54 +149,6 @@ def events(session: Session, job_id: str) -> list[Event]:
     """Return what has happened to a job, in order."""
     rows = session.scalars(select(EventRow).where(EventRow.job_id == job_id).order_by(EventRow.id))
     return [Event(row.at, row.state.value, row.attempt, row.message) for row in rows]
-
-
-@dataclass(frozen=True)
-class WorkerView:
-    """One supervisor as it is shown."""
-
-    id: str
-    host: str
-    pid: int
-    queues: str
-    concurrency: int
-    processes: int
-    """How many of them lived at the last beat."""
-    beat_at: datetime
-    draining: bool
-    held_for: str | None
-    running: int
-
-
-def workers(session: Session, since: datetime) -> list[WorkerView]:
-    """Return the workers that have given a sign of life since a time.
-
-    Those that were on this machine, and whose process is gone since, are left out.
-    """
-    running = (
-        select(func.count())
-        .where(JobRow.worker_id == WorkerRow.id, JobRow.state == JobState.RUNNING)
-        .correlate(WorkerRow)
-        .scalar_subquery()
-    )
-    rows = session.execute(
-        select(WorkerRow, running).where(WorkerRow.beat_at >= since).order_by(WorkerRow.started_at)
-    ).all()
-    if not rows:
-        return []
-    # Which nothing else here needs, and a home without workers neither.
-    from sms_jobs.jobs.running.origin import Origin, is_gone
-    from sms_jobs.jobs.running.witness import origin_of
-
-    here = Origin.own()
-    return [
-        WorkerView(
-            *(w.id, w.host, w.pid, w.queues, w.concurrency, w.processes, w.beat_at, w.draining),
-            *(w.held_for, count),
-        )
-        for w, count in rows
-        if not is_gone(w.pid, origin_of(w), here)
-    ]
 
 
 def campaign_names(session: Session) -> list[str]:

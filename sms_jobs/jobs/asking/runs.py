@@ -15,10 +15,11 @@ from sqlalchemy import Select, delete, func, insert, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, JobRow
 from sms_jobs.catalogue.parts import parts
 from sms_jobs.catalogue.tables.calibrations import CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.runs import RunJobRow, RunRow, RunSubmissionRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.formats.importers.folders import natural

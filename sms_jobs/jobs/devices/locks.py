@@ -16,7 +16,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, and_, delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import JobDeviceRow, LockRow
 from sms_jobs.errors import Conflict, DevicesBusy, LeaseLost, NotFound
 from sms_jobs.records.job import JobState

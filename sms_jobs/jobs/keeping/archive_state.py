@@ -9,7 +9,7 @@ from typing import Final
 from sqlalchemy import case, delete, func, insert, or_, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.checks import FileCheckRow
 from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.jobs.keeping.verification import Checked

@@ -18,9 +18,10 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue import campaigns, search
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow
 from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.archiving.acceptances import decided
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN
 from sms_jobs.jobs.archiving.registration import defined

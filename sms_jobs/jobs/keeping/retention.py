@@ -15,7 +15,6 @@ from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow, CalibrationUseRow
 from sms_jobs.catalogue.tables.checks import FileCheckRow
 from sms_jobs.catalogue.tables.files import (
@@ -26,6 +25,7 @@ from sms_jobs.catalogue.tables.files import (
     ResultRow,
     StatisticRow,
 )
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import Conflict, NotFound
 from sms_jobs.jobs.asking import runs

@@ -14,8 +14,9 @@ from sms_jobs.archive import Archive, Checker, layout
 from sms_jobs.catalogue import audit
 from sms_jobs.catalogue.campaigns import campaign_id
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat
 from sms_jobs.records.job import ACTIVE
 

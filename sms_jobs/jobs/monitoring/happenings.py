@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.changes import ChangeRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.records.shown.changes import Change
 from sms_jobs.records.subject import Subject
 

@@ -13,9 +13,11 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue import job_counts
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobCountRow, JobRow, WorkerRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.schedules import ScheduleFireRow, ScheduleRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.running import queues
 from sms_jobs.jobs.scheduling.fire_times import parse_expression, times_until

@@ -17,7 +17,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import EventRow, JobRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.notifications import NotificationRow, OccurrenceRow, SubscriptionRow
 from sms_jobs.records.job import ACTIVE, JobState
 from sms_jobs.records.shown.notifications import TOPICS, Topic

@@ -10,9 +10,10 @@ from typing import cast
 from sqlalchemy import Insert, String, Table, bindparam, func, insert, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, JobRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.columns import MessageText, UtcDateTime
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.notifications import OccurrenceRow
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.shown.notifications import OF_STATES, Topic

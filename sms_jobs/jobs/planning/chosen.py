@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, job_counts
-from sms_jobs.catalogue.models import JobCountRow, JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import ACTIVE
 
@@ -102,7 +102,6 @@ def by_state(session: Session, chosen: Chosen) -> dict[str, int]:
     """Return how many rows of `job` are in each state, those that had ended before among them."""
     if chosen.of_kept_counts:
         some = None if chosen.campaign_id is None else [chosen.campaign_id]
-        kept = job_counts.counted(session, JobCountRow.state, campaigns=some, kind=chosen.kind)
-        return {state.value: count for (state,), count in kept.items()}
+        return job_counts.by_state(session, some, chosen.kind)
     query = select(JobRow.state, func.count()).where(*chosen.where).group_by(JobRow.state)
     return {state.value: count for state, count in session.execute(query)}

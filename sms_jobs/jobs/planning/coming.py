@@ -13,8 +13,9 @@ from sqlalchemy import ColumnElement, Row, Select, and_, false, func, or_, selec
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import job_counts
-from sms_jobs.catalogue.models import JobCountRow, JobRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 from sqlalchemy import and_, exists, func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.jobs.planning.coming import Coming, Graph, Sample, coming, coming_with, running
 from sms_jobs.jobs.planning.foreseen import foreseen_reuse

@@ -12,10 +12,12 @@ from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.jobs.results.newer import replaced
 from sms_jobs.jobs.results.reuse import reuse_key
 from sms_jobs.kinds import all_kinds

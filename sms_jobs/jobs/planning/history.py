@@ -15,8 +15,10 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import valid_calibrations
 from sms_jobs.catalogue.campaigns import number_of_states
-from sms_jobs.catalogue.models import CampaignRow, JobRow, WorkerRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.planning.coming import Coming
 from sms_jobs.records.job import JobState
 from sms_jobs.records.subject import Subject

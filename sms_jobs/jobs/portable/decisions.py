@@ -16,7 +16,7 @@ from sqlalchemy import select
 
 from sms_jobs.archive import Archive, Checker, Found, layout
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN

@@ -13,9 +13,10 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, Provenance, layout
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow
 from sms_jobs.catalogue.search import file_view
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import NotFound
 from sms_jobs.formats.provenance_document import (
     DocumentedActivity,

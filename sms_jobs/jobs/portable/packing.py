@@ -29,8 +29,8 @@ from sms_jobs.archive.repacking import repack
 from sms_jobs.archive.sealing import make_folders, sha256_of, sync
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow
 from sms_jobs.catalogue.tables.calibrations import AcceptanceRow, CalibrationRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import ArchiveCorrupt, Conflict, InvalidInput, StorageFull

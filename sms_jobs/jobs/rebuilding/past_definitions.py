@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive, Checker, Found, Provenance, layout
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import CampaignRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.importing import continues

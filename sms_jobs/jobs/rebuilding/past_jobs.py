@@ -11,8 +11,8 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Provenance
 from sms_jobs.catalogue import campaigns
-from sms_jobs.catalogue.models import EventRow, JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.indexing import source_of

@@ -20,9 +20,9 @@ from sqlalchemy.orm import Session
 from sms_jobs.archive import DATASET_MEDIA_TYPE, Archive, Checker, Found, Provenance, layout
 from sms_jobs.catalogue import subject_files
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.calibrations import CalibrationRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import ArchiveCorrupt, InvalidInput, OtherFormat, SmsError
 from sms_jobs.jobs.archiving import indexing
 from sms_jobs.jobs.archiving.indexing import ACCEPTANCE, CAMPAIGN

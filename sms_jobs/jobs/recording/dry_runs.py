@@ -13,8 +13,9 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
 from sms_jobs.catalogue.campaigns import definition
-from sms_jobs.catalogue.models import CampaignRow, JobRow, RigRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.instruments.kept_sets import frames_of
 from sms_jobs.instruments.recording_sets import Adaptation, Patterns
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL, rehearse, ways

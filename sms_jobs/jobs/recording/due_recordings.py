@@ -20,9 +20,9 @@ from sms_jobs.archive import DATASET_MEDIA_TYPE
 from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_row, definition
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.subject_files import newest_file
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.devices import locks

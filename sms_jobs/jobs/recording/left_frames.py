@@ -12,8 +12,8 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.records.job import JobState
 
 _GONE = ".gone"

@@ -12,9 +12,10 @@ from typing import NamedTuple
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow, RigRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow
 from sms_jobs.catalogue.tables.files import FileRow, ReadingRow
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.kinds.kind import MEASUREMENT
 from sms_jobs.records.gauge_limits import Look
 from sms_jobs.records.levels import Levels, next_label

@@ -16,8 +16,10 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_id, state_ids
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, RigRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow, RigRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow, PlannedRecordingRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, did_you_mean
 from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.records import triggers

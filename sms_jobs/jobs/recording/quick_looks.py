@@ -12,9 +12,11 @@ from sqlalchemy.orm import Session
 from sms_jobs.catalogue import changes
 from sms_jobs.catalogue.campaigns import campaign_id, campaign_row, definition
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.jobs.notifying import occurrences
 from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.jobs.recording.planned_recordings import AWAITED

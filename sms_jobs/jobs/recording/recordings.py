@@ -15,8 +15,11 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow, WorkerRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.asking.inquiry import find_job
 from sms_jobs.jobs.planning.chosen import Chosen

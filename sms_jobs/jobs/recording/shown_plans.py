@@ -9,8 +9,8 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_id
-from sms_jobs.catalogue.models import WorkerRow
 from sms_jobs.catalogue.tables.planned import PlannedLevelsRow, PlannedRecordingRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.recording import planned_levels
 from sms_jobs.jobs.recording.planned_levels import PlannedLevels
 from sms_jobs.jobs.recording.planned_recordings import OPEN, Planned, planned, why_not

@@ -12,7 +12,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import InvalidInput
 from sms_jobs.instruments.frame_memory import PART_OF_MEMORY
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL

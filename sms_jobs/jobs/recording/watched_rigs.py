@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.catalogue.tables.queues import JobDeviceRow, QueueRow
 from sms_jobs.jobs.devices import locks

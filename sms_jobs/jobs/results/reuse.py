@@ -13,8 +13,8 @@ from sqlalchemy import Table, bindparam, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.archive import Archive
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import ArchiveCorrupt, OtherFormat
 from sms_jobs.kinds.kind import Kind
 from sms_jobs.records.job import JobState

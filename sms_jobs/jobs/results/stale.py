@@ -10,9 +10,10 @@ from typing import NamedTuple
 from sqlalchemy import select
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.models import CampaignRow, LoadStateRow
 from sms_jobs.catalogue.tables.calibrations import CalibrationUseRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, ProvenanceRow, ResultRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.jobs.archiving.indexing import CAMPAIGN
 from sms_jobs.jobs.results.turned import turned_files

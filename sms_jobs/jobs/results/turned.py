@@ -9,9 +9,10 @@ from sqlalchemy import Row, Select, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, family
-from sms_jobs.catalogue.models import CampaignRow, JobRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.jobs.archiving.indexing import CAMPAIGN
 from sms_jobs.jobs.results.reuse import reuse_key

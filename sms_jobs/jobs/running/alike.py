@@ -11,7 +11,7 @@ from typing import cast
 from sqlalchemy import BigInteger, ColumnElement, Table, and_, bindparam, exists, func, select, update
 from sqlalchemy.orm import Session, aliased
 
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import LeaseLost
 from sms_jobs.records.job import JobState
 

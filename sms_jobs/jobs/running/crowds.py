@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, CursorResult, exists, func, select, update
 from sqlalchemy.orm import Session, aliased
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs.planning import chosen

@@ -11,8 +11,10 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import job_counts
-from sms_jobs.catalogue.models import JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import OutboxRow, QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.records.job import ALIVE_WITHIN, JobState
 
 

@@ -10,8 +10,8 @@ from sqlalchemy import Select, and_, func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import search
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.records.job import JobState
 from sms_jobs.records.statistic_names import VALID_FRACTION_OF_IMAGE, fraction_of_points, losses, lost_to

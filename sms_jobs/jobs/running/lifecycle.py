@@ -18,10 +18,12 @@ from sqlalchemy.orm.util import identity_key
 from sqlalchemy.sql.dml import ReturningUpdate
 
 from sms_jobs.catalogue import changes
-from sms_jobs.catalogue.models import CampaignRow, EventRow, JobRow, WorkerRow
 from sms_jobs.catalogue.parts import parts
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.columns import UtcDateTime
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow, JobDeviceRow, OutboxRow, QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import Cancelled, LeaseLost, OverLimit
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.notifying import occurrences

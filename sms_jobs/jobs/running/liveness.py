@@ -15,8 +15,10 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import job_counts
-from sms_jobs.catalogue.models import EventRow, JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
 from sms_jobs.catalogue.tables.queues import QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.running.origin import Origin, is_gone
 from sms_jobs.jobs.running.witness import origin_of

@@ -10,8 +10,10 @@ from sqlalchemy import CursorResult, exists, func, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import job_counts
-from sms_jobs.catalogue.models import JobCountRow, JobRow, WorkerRow
+from sms_jobs.catalogue.tables.job_counts import JobCountRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import QueueRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.errors import Conflict
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.kinds.kind import Queue

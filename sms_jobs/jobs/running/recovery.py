@@ -9,8 +9,9 @@ from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow, WorkerRow
 from sms_jobs.catalogue.parts import AT_ONCE
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.devices import locks
 from sms_jobs.jobs.running import lifecycle
 from sms_jobs.jobs.running.origin import Origin

@@ -7,7 +7,7 @@ from datetime import datetime
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.planning.chosen import Chosen
 from sms_jobs.records.job import JobState
 from sms_jobs.records.remarks import PARTED, remarks_in

@@ -5,7 +5,8 @@ from __future__ import annotations
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from sms_jobs.catalogue.models import JobRow, WorkerRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.running.origin import Origin, is_gone
 from sms_jobs.jobs.running.stillness import Stillness
 from sms_jobs.records.job import JobState

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 
 from sms_jobs.catalogue import campaigns, changes
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.schedules import ScheduleFireRow, ScheduleRow
 from sms_jobs.errors import InvalidInput, NotFound, ServerUnreachable, SmsError
 from sms_jobs.jobs.asking import runs

@@ -14,8 +14,8 @@ from support.homes import initialised
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, state_ids
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.asking.campaign_progress import progress_of
 from sms_jobs.jobs.planning.graph import Request

@@ -13,8 +13,8 @@ from support.archives import Clock, registered, run_jobs
 from sms_jobs.archive import Archive, FolderStore
 from sms_jobs.catalogue import schema
 from sms_jobs.catalogue.database import Catalogue
-from sms_jobs.catalogue.models import JobRow
 from sms_jobs.catalogue.tables.files import FileRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.running import recovery, runner

@@ -15,8 +15,10 @@ from support.jobs import NOW
 
 from sms_jobs import bootstrap
 from sms_jobs.archive import DATASET_MEDIA_TYPE
-from sms_jobs.catalogue.models import CampaignRow, JobRow, LoadStateRow
+from sms_jobs.catalogue.tables.campaigns import CampaignRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.scheduling import firing, schedules
 from sms_jobs.jobs.scheduling.fire_times import parse_expression

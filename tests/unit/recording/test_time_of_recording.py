@@ -13,9 +13,10 @@ from support.homes import initialised
 
 from sms_jobs import bootstrap
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import JobRow, LoadStateRow
 from sms_jobs.catalogue.tables.files import FileRow, MeasurementRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.queues import DependencyRow
+from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.jobs.archiving.registration import register_calibration, register_campaign
 from sms_jobs.jobs.asking import explanation
 from sms_jobs.jobs.planning.graph import Request

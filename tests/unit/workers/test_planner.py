@@ -19,7 +19,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings
 from sms_jobs.app.measuring.planned_recordings import AtCycles, AtLoad, InTime, When
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.catalogue.tables.planned import PlannedRecordingRow
 from sms_jobs.errors import LinkLost, NotFound
 from sms_jobs.instruments.connection import channel_reader

@@ -17,7 +17,7 @@ from sms_jobs.app.measuring import planned_recordings
 from sms_jobs.app.measuring.planned_recordings import AtLevels, AtLoad, InTime
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.campaigns import campaign_row, definition
-from sms_jobs.catalogue.models import JobRow
+from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.errors import NotFound
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.devices import locks

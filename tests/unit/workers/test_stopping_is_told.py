@@ -12,7 +12,7 @@ from support.jobs import NOW, claim, submit_pipeline
 
 from sms_jobs import bootstrap
 from sms_jobs.app.home.service import supervisor
-from sms_jobs.catalogue.models import WorkerRow
+from sms_jobs.catalogue.tables.workers import WorkerRow
 from sms_jobs.jobs.running import recovery
 
 
