@@ -9,7 +9,6 @@ from typing import Annotated, Any, TypeAlias
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import found_work
 from sms_jobs.app.work import jobs as jobs_
 from sms_jobs.app.work import kinds as kinds_
 from sms_jobs.app.work.jobs import Refusal, Submitted, Work
@@ -144,6 +143,9 @@ def submit(
 
 def _submit_found(services: bootstrap.Services, where: str, work: Work, dry_run: bool, as_json: bool) -> None:
     """Submit work of all campaigns with states that meet a question, and say what of each."""
+    # Which loads what questions about states consist of.
+    from sms_jobs.app.work import found_work
+
     found = found_work.submit_found(services, where, work, dry_run=dry_run)
     if as_json:
         told = [_submitted_as_json(name, done, dry_run) for name, done in found.campaigns.items()]
