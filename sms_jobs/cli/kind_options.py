@@ -51,6 +51,21 @@ def split_words(words: Sequence[str], own: Sequence[str] = ()) -> tuple[list[str
     return kinds, settings
 
 
+def refuse_misspelt(kinds: Sequence[str], settings: Sequence[str], own: Sequence[str]) -> None:
+    """Raise `InvalidInput` where a setting of a kind is one of the command's `own` options, misspelt."""
+    kind = find_kind(kinds[0]) if settings and len(kinds) == 1 else None
+    if kind is None:
+        return
+    options = [option for option, _, _ in parameter_rows(kind)]
+    for setting in settings:
+        word = f"--{setting.partition('=')[0].replace('_', '-')}"
+        near = get_close_matches(word, [*own, *options], 1, cutoff=0.8)
+        if word not in options and near and near[0] in own:
+            raise InvalidInput(
+                f"there is no option '{word}', nor has {kind.name} such a parameter; did you mean '{near[0]}'"
+            )
+
+
 def parameter_rows(kind: KindView) -> list[tuple[str, Any, str]]:
     """Return option, default and description of each parameter of a kind."""
     return [(f"--{one.name.replace('_', '-')}", one.default, one.meaning) for one in kind.parameters]
@@ -64,7 +79,8 @@ class KindCommand(TyperCommand):
         ctx.meta[_WORDS] = tuple(args)
         rest = super().parse_args(ctx, args)
         if not ctx.resilient_parsing:
-            split_words(ctx.params["kind"], [name for one in self.params for name in one.opts])
+            own = [name for one in self.params for name in one.opts]
+            refuse_misspelt(*split_words(ctx.params["kind"], own), own)
         return rest
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

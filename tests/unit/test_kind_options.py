@@ -8,7 +8,7 @@ import pytest
 from support.command import inside
 
 from sms_jobs.app.work.kinds import KindView, kinds
-from sms_jobs.cli.kind_options import parameter_rows, split_words
+from sms_jobs.cli.kind_options import parameter_rows, refuse_misspelt, split_words
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds import all_kinds
 
@@ -35,6 +35,23 @@ def test_options_among_the_kinds_become_settings() -> None:
 def test_what_cannot_be_meant_is_refused(words: list[str], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         split_words(words, ("--dry-run", "--wait"))
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"), [("--states", "--state"), ("--veiw", "--view"), ("--priorty", "--priority")]
+)
+def test_a_misspelt_option_of_the_command_is_no_parameter(word: str, meant: str) -> None:
+    refused = inside("job", "submit", "gauges", word, "S01", "-c", "plate")
+    assert refused.returncode == 2
+    assert f"no option '{word}', nor has gauges such a parameter; did you mean '{meant}'" in refused.stderr
+
+
+def test_a_misspelt_parameter_is_named_with_the_parameters() -> None:
+    """It is nearer to one of these than to an option of the command, or to neither."""
+    for setting in ("gauge_lenght_mm=3", "methd=disc", "entirely=3", "square_px=5"):
+        refuse_misspelt(["strain"], [setting], ("--state", "--view", "--set"))
+    refuse_misspelt(["correlate", "strain"], ["states=S01"], ("--state",))
+    refuse_misspelt(["nothing"], ["states=S01"], ("--state",))
 
 
 @pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.name)
