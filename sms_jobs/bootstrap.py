@@ -173,6 +173,7 @@ def renewed(home: Path | None = None, *, dry_run: bool = False) -> Iterator[tupl
 
 def _begin_chain(catalogue: Catalogue, actor: Actor, why: str) -> None:
     """Let the first link of a catalogue that was made anew say so."""
+    # Which other commands do not load.
     from sms_jobs.catalogue import audit
 
     with catalogue.writing() as session:

@@ -174,7 +174,7 @@ class Catalogue:
             yield session
             session.flush()
             if self._deed is not None and changes is not None and changes.some:
-                # Who reads alone needs neither.
+                # Which commands that only read do not load.
                 from sms_jobs.catalogue import audit
 
                 audit.append(session, self._deed, datetime.now(UTC))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def has_people(session: Session) -> bool:
-    """Return whether has_people has a name here; before that, everybody at the desk may do everything."""
+    """Return whether anybody has a name here; before that, everybody at the desk may do everything."""
     return session.scalar(select(PersonRow.id).limit(1)) is not None
 
 
