@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from zlib_ng import zlib_ng
 
 from sms_jobs.errors import ArchiveCorrupt, StorageFull
 
@@ -75,7 +75,7 @@ class SpoolWriter:
         data = np.ascontiguousarray(image, self._dtype).data.cast("B")
         if len(data) != self._length:
             raise ValueError(f"a frame of {len(data)} bytes in a file of frames of {self._length}")
-        check = zlib.crc32(data, zlib.crc32(struct.pack("<Qd", number, time_s)))
+        check = zlib_ng.crc32(data, zlib_ng.crc32(struct.pack("<Qd", number, time_s)))
         self._write(_RECORD.pack(number, time_s, check, len(data)), data)
 
     def _write(self, *parts: Any) -> None:
@@ -141,7 +141,7 @@ class Spooled:
     def frame(self, index: int) -> NDArray[Any]:
         """Return one frame, (rows, columns); raise `ArchiveCorrupt` when it has changed on the disk."""
         number, time_s, check, data = self._record(index)
-        if zlib.crc32(data, zlib.crc32(struct.pack("<Qd", number, time_s))) != check:
+        if zlib_ng.crc32(data, zlib_ng.crc32(struct.pack("<Qd", number, time_s))) != check:
             raise ArchiveCorrupt(f"frame {index + 1} of {self._path} is not as it was written")
         return np.frombuffer(data, self._dtype).reshape(self.header.rows, self.header.columns)
 
