@@ -7,14 +7,17 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from itertools import count
 from statistics import median
+from typing import TypeVar
 
 import numpy as np
 
-from sms_jobs.archive import Archive, FolderStore, Provenance
+from sms_jobs.archive import Archive, FolderStore, Provenance, Sealed
 from sms_jobs.bench.figures import REPEATS, Condition, Figure, Found, Group, Run
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.subject import Subject
+
+T = TypeVar("T")
 
 ROWS, COLUMNS, FRAMES = 1024, 1280, 48
 _FRAMES_OF_50_MB = 19
@@ -49,14 +52,18 @@ def _cloud(random: np.random.Generator) -> Surface:
     return Surface("C1P1", "mm", xyz, np.zeros(image, np.uint32), covariance, gap)
 
 
-def _seconds(work: Callable[[], object]) -> float:
-    """Return the median wall time, after one call that does not count: disks and threads take part."""
-    work()
+def _seconds(work: Callable[[], T], tidy: Callable[[T], object] = lambda made: None) -> float:
+    """Return the median wall time, after one call that does not count: disks and threads take part.
+
+    What `work` returns is given to `tidy`, whose time does not count.
+    """
+    tidy(work())
     taken = []
     for _ in range(REPEATS):
         started = time.perf_counter()
-        work()
+        made = work()
         taken.append(time.perf_counter() - started)
+        tidy(made)
     return median(taken)
 
 
@@ -73,8 +80,10 @@ def measure(run: Run) -> Iterator[Found]:
     first = archive.seal_dataset({"record": record}, _provenance(1))
     fields = archive.seal_dataset({"record": cloud}, _provenance(next(attempts)))
 
-    def seal(one: Measurement) -> None:
-        sealed = archive.seal_dataset({"record": one}, _provenance(next(attempts)))
+    def seal(one: Measurement) -> Sealed:
+        return archive.seal_dataset({"record": one}, _provenance(next(attempts)))
+
+    def remove(sealed: Sealed) -> None:
         archive.discard(sealed.path)
 
     def read_slabs() -> None:
@@ -91,11 +100,11 @@ def measure(run: Run) -> Iterator[Found]:
         with archive.open(fields) as dataset:
             dataset.read("record", Surface)
 
-    yield Figure("write_frames_mb_s", size / _seconds(lambda: seal(record)), "MB / s", 500.0)
+    yield Figure("write_frames_mb_s", size / _seconds(lambda: seal(record), remove), "MB / s", 500.0)
     yield Figure("read_slab_mb_s", size / _seconds(read_slabs), "MB / s", 1400.0)
     yield Figure("read_frame_ms", 1e3 * _seconds(read_frame), "ms")
     yield Figure("read_fields_mb_s", 56e-6 * ROWS * COLUMNS / _seconds(read_fields), "MB / s")
-    yield Figure("seal_50mb_ms", 1e3 * _seconds(lambda: seal(small)), "ms")
+    yield Figure("seal_50mb_ms", 1e3 * _seconds(lambda: seal(small), remove), "ms")
     taken = _seconds(lambda: archive.verify(first.path, first.content_hash))
     yield Figure("verify_mb_s", size / taken, "MB / s")
     yield Condition(
