@@ -38,7 +38,9 @@ def application(services: Services, options: protection.Options) -> FastAPI:
     async def life(_app: FastAPI) -> AsyncIterator[None]:
         anyio.to_thread.current_default_thread_limiter().total_tokens = _AT_A_TIME
         yield
+        await anyio.to_thread.run_sync(follower.end)
 
+    follower = Follower(services)
     app = FastAPI(
         title="sms_jobs",
         version=sms_jobs.__version__,
@@ -50,7 +52,7 @@ def application(services: Services, options: protection.Options) -> FastAPI:
     app.state.services = services
     app.state.desk = options.desk
     app.state.long_work = anyio.CapacityLimiter(AT_A_TIME)
-    app.state.follower = Follower(services)
+    app.state.follower = follower
     refusals.install(app)
     for module in iter_modules(api.__path__):
         routes: Routes = import_module(f"{api.__name__}.{module.name}").ROUTES

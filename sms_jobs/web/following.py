@@ -36,6 +36,7 @@ _MOST_MISSING = 20_000
 _MOST_RANGES = 100
 _LOOKED_BACK = 1000
 _MOST_WAITING = 2000
+_ENDS_WITHIN_S = 5.0
 
 
 class Order:
@@ -167,6 +168,17 @@ class Follower:
         """Tell a listener nothing more."""
         with self._lock:
             self._listeners.discard(listener)
+
+    def end(self) -> None:
+        """Tell nobody anything more, and return once nothing is asked for, or after some seconds.
+
+        Whoever closes the catalogue does this before: what is asked for then would keep its connection.
+        """
+        with self._lock:
+            self._listeners.clear()
+            thread = self._thread
+        if thread is not None:
+            thread.join(_ENDS_WITHIN_S)
 
     def _begun(self) -> _Orders:
         """Return orders that know what is missing among the newest numbers."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
 from collections.abc import Iterator
 
@@ -109,6 +110,7 @@ def test_an_event_that_is_committed_late_is_told(services: Services) -> None:
             found += await listener.next(5.0)
         finally:
             follower.leave(listener)
+            follower.end()
         return [(cursor.jobs - number, one.message) for cursor, one in found]
 
     # Who heard the early one alone goes on before the late one.
@@ -125,10 +127,23 @@ def test_a_listener_who_does_not_listen_is_told_nothing_more(services: Services)
         deadline = time.monotonic() + 20.0
         while not listener.dropped and time.monotonic() < deadline:
             await asyncio.sleep(0.05)
-        follower.leave(listener)
+        follower.end()
         return listener.dropped
 
     assert asyncio.run(crowded())
+
+
+def test_a_follower_that_ends_asks_nothing_more(services: Services) -> None:
+    """A catalogue that is closed while it is asked would leave a connection open."""
+
+    async def ended() -> tuple[int, int]:
+        follower, listener = Follower(services), Listener(asyncio.get_running_loop())
+        await asyncio.to_thread(follower.listen, listener)
+        follower.end()
+        running = sum(thread.name == "follower" for thread in threading.enumerate())
+        return follower.listeners, running
+
+    assert asyncio.run(ended()) == (0, 0)
 
 
 def change_of(services: Services, number: int) -> None:
