@@ -21,6 +21,7 @@ from sms_jobs.app.work.jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import changes
 from sms_jobs.records.shown.changes import Followed
+from sms_jobs.web import following
 from sms_jobs.web.following import Follower, Listener
 
 JOBS = 2
@@ -140,10 +141,27 @@ def test_a_follower_that_ends_asks_nothing_more(services: Services) -> None:
         follower, listener = Follower(services), Listener(asyncio.get_running_loop())
         await asyncio.to_thread(follower.listen, listener)
         follower.end()
-        running = sum(thread.name == "follower" for thread in threading.enumerate())
-        return follower.listeners, running
+        return follower.listeners, followers()
 
     assert asyncio.run(ended()) == (0, 0)
+
+
+def followers() -> int:
+    """Return how many threads follow what happens."""
+    return sum(thread.name == "follower" for thread in threading.enumerate())
+
+
+def test_a_server_that_ends_waits_for_its_follower(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It rests so long that it would still be there, and ask once more."""
+    monkeypatch.setattr(following, "EVERY_S", 2.0)
+    with served(app_of(services)) as client, listening(client) as events:
+        with services.catalogue.writing() as session:
+            add_event(session, "first")
+        assert message_of(next(events)) == "first"
+        assert followers() == 1
+    assert followers() == 0
 
 
 def change_of(services: Services, number: int) -> None:
