@@ -53,7 +53,6 @@ def message_of(event: dict[str, str]) -> str:
 def test_events_are_told_and_go_on_where_they_broke_off(services: Services) -> None:
     with served(app_of(services)) as client:
         with listening(client) as events:
-            time.sleep(0.5)
             began = time.monotonic()
             with services.catalogue.writing() as session:
                 add_event(session, "first")
@@ -70,6 +69,22 @@ def test_events_are_told_and_go_on_where_they_broke_off(services: Services) -> N
             with services.catalogue.writing() as session:
                 add_event(session, "fourth")
             assert message_of(next(events)) == "fourth"
+
+
+def test_nothing_is_missed_after_the_first_sign_of_life(
+    services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listen = Follower.listen
+
+    def slowly(follower: Follower, listener: Listener) -> happenings.Cursor:
+        time.sleep(0.5)
+        return listen(follower, listener)
+
+    monkeypatch.setattr(Follower, "listen", slowly)
+    with served(app_of(services)) as client, listening(client) as events:
+        with services.catalogue.writing() as session:
+            add_event(session, "first")
+        assert message_of(next(events)) == "first"
 
 
 def test_everything_is_told_from_the_beginning_once(services: Services) -> None:

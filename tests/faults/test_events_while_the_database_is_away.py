@@ -27,7 +27,6 @@ def test_a_listener_outlives_an_outage_of_the_database(
     with bootstrap.services(home, "web") as services:
         jobs.submit(services, Work("plate", ("simulate",)))
         with served(app_of(services)) as client, listening(client) as events:
-            time.sleep(0.5)
             server.crash()
             time.sleep(away_s)
             assert client.get("jobs").status_code == 503

@@ -44,6 +44,10 @@ def served(app: FastAPI) -> Iterator[httpx2.Client]:
         thread.join(30.0)
 
 
+BEATS = 6
+"""After so many signs of life, 15 s apart, a test waits no longer for an event."""
+
+
 @contextmanager
 def listening(client: httpx2.Client, **options: Any) -> Iterator[Iterator[dict[str, str]]]:
     """Listen to events; each is its fields."""
@@ -54,12 +58,16 @@ def listening(client: httpx2.Client, **options: Any) -> Iterator[Iterator[dict[s
 
         def events() -> Iterator[dict[str, str]]:
             fields: dict[str, str] = {}
+            beats = 0
             for line in lines:
                 name, _, value = line.partition(": ")
-                if line and name:
+                if line.startswith(":"):
+                    beats += 1
+                    assert beats < BEATS, f"{beats} signs of life, and nothing was told"
+                elif line:
                     fields[name] = value
-                elif not line and "data" in fields:
+                elif "data" in fields:
                     yield fields
-                    fields = {}
+                    fields, beats = {}, 0
 
         yield events()

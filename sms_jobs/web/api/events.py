@@ -58,13 +58,16 @@ async def events(
 async def _told(
     request: Request, services: Services, campaign: str | None, after: Cursor | None
 ) -> AsyncGenerator[Told | None, None]:
-    """Yield what happened, each with where to go on after it; None where nothing has for a while."""
-    yield None
+    """Yield what happened, each with where to go on after it; None where nothing has for a while.
+
+    Whoever has heard anything is told all that happens from then on, unless the catalogue is away.
+    """
     follower: Follower = request.app.state.follower
     listener = Listener(asyncio.get_running_loop())
     try:
         while (safe := await _listened(follower, listener)) is None:
             yield None
+        yield None
         recent: set[tuple[str, int]] = set()
         while after is not None:
             page = await _asked(services, after)
