@@ -75,14 +75,6 @@ class StoredArray:
         place = ", ".join(str(one.start) for one in self.grid.bounds(index))
         return altered(self._where, f"the block at {place} has", "other values", "their check")
 
-    def glance(self, part: Part) -> NDArray[Any]:
-        """Return a part of it as it is there, compared with nothing: for a first look, not for a number.
-
-        Raises `ArchiveCorrupt` where it cannot be read.
-        """
-        with readable(self._where):
-            return read_part(self._dataset, self.grid, part, lambda index, block: None)
-
     def pieces(self, part: Part) -> Iterator[NDArray[Any]]:
         """Yield a part of it piece by piece in C order; raises as `read` does."""
         for piece in pieces(part, self.grid, self.dtype.itemsize):

@@ -174,23 +174,16 @@ def sampled(
     step: int,
     *,
     window: Window | None = None,
-    glance: bool = False,
 ) -> list[NDArray[Any]]:
-    """Return every `step`th pixel of what readings make, the middle ones; `glance` compares nothing."""
+    """Return every `step`th pixel of what readings make, the middle ones."""
     half = step // 2
     top, left, rows, columns = window or (0, 0, *one.size)
     down, across = slice(top + half, top + rows, step), slice(left + half, left + columns, step)
-    return read(archive, one, readings, down, across, glance=glance)
+    return read(archive, one, readings, down, across)
 
 
 def read(
-    archive: Archive,
-    one: Placed,
-    readings: Sequence[Reading],
-    rows: slice,
-    columns: slice,
-    *,
-    glance: bool = False,
+    archive: Archive, one: Placed, readings: Sequence[Reading], rows: slice, columns: slice
 ) -> list[NDArray[Any]]:
     """Return what readings make of some rows and columns; what two of them need is read once.
 
@@ -203,6 +196,6 @@ def read(
             array, component = source
             plane = () if component is None else (slice(component, component + 1, 1),)
             with dataset.array(one.shown.record, array) as stored:
-                taken = (stored.glance if glance else stored.read)((*plane, rows, columns))
+                taken = stored.read((*plane, rows, columns))
             images[source] = taken.reshape(shape)
     return [reading.of(images) for reading in readings]

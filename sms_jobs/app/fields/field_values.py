@@ -122,7 +122,7 @@ def first_picture(services: Services, key: str, *, part: str | None = None, name
 
     fields = fields_of(services, key, part)
     one = fields.placed[0] if name is None else fields.named(name)
-    (known,) = sampled(services.archive, one, [one.shown.values], step_of(one.size, _GLANCE), glance=True)
+    (known,) = sampled(services.archive, one, [one.shown.values], step_of(one.size, _GLANCE))
     return colours_as_png(known.astype(np.float32), one.shown.unit)
 
 
