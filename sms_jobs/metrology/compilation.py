@@ -19,7 +19,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 
 from sms_jobs.metrology.kernel_cache import cached
-from sms_jobs.metrology.kernel_linking import keep_copies_apart
+from sms_jobs.metrology.kernel_linking import InnerCompiler, keep_copies_apart
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -79,12 +79,15 @@ class InnerKernel(CPUDispatcher):
 def inner(compiled: F) -> F:
     """Say that only other kernels call a kernel: `@inner` above `@kernel`, or above any other kind.
 
-    Nothing is compiled then that takes its arguments from Python, which is an eighth of compiling a kernel.
+    Nothing is compiled then that takes its arguments from Python, nor is it made to machine code by itself,
+    which together is a fifth of compiling a kernel.
     The package's Python may not call it (`tests/unit/test_inner_kernels.py` looks).
     """
     if isinstance(compiled, Dispatcher):
         compiled.targetoptions["no_cpython_wrapper"] = True
-        cast(Any, compiled).__class__ = InnerKernel
+        dispatcher = cast(Any, compiled)
+        dispatcher._compiler.pipeline_class = InnerCompiler
+        dispatcher.__class__ = InnerKernel
     return compiled
 
 

@@ -3,17 +3,31 @@
 Numba links every kernel that another calls into that one, and optimises the copy once more with it. The names
 of copies are weak: all call the one that was loaded first in a process. Where sums may be reordered, copies
 differ in the last digits; so would results, by what the process had compiled or computed before.
+
+What only other kernels call is therefore never run by itself, and no machine code is made of it.
 """
 
 from __future__ import annotations
 
 from typing import Any, cast
 
+from numba.core import codegen
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import Compiler
+
+_ENVIRONMENT = "_ZN08NumbaEnv"
 
 
 class SelfContainedLibrary(JITCodeLibrary):
-    """The machine code of a kernel, in which nobody else knows the names of the copies."""
+    """The machine code of a kernel, in which nobody else knows the names of the copies.
+
+    Attributes
+    ----------
+    only_linked
+        Other kernels link it, and nobody calls it.
+    """
+
+    only_linked = False
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Optimise each function by itself, by passes that are set up once, where Numba does so for each.
@@ -32,10 +46,32 @@ class SelfContainedLibrary(JITCodeLibrary):
             self._finalized = True
             self._get_module_for_linking()
             self._finalized = False
+        if self.only_linked:
+            self._finalize_dynamic_globals()
+            self._final_module = _environments_of(self._final_module)
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage.name == "linkonce_odr":
                 function.linkage = "internal"
         super()._finalize_final_module()
+
+
+def _environments_of(module: Any) -> Any:
+    """Return a module with no function, but with what Numba sets by name once one is compiled or loaded."""
+    names = [one.name for one in module.global_variables if one.name.startswith(_ENVIRONMENT)]
+    lines = [f'@"{name}" = common global ptr null' for name in names]
+    text = "\n".join([f'target triple = "{module.triple}"', *lines])
+    return cast(Any, codegen).ll.parse_assembly(text)
+
+
+class InnerCompiler(Compiler):
+    """Compiles what only other kernels call."""
+
+    def _compile_core(self) -> Any:
+        library = self.state.targetctx.codegen().create_library(self.state.func_id.func_qualname)
+        library.enable_object_caching()
+        library.only_linked = True
+        self.state.library = library
+        return super()._compile_core()
 
 
 def keep_copies_apart() -> None:

@@ -23,6 +23,8 @@ _KERNELS = textwrap.dedent(
     @inner
     @kernel
     def squared(x):
+        if x > 99.0:
+            raise ValueError("too large", x)
         return x * x
 
     @kernel
@@ -102,13 +104,13 @@ def test_an_inner_kernel_computes_where_a_test_calls_it():
     assert values.tolist() == [0.0, 2.0, 4.0]
 
 
-def test_an_inner_kernel_has_no_code_that_takes_arguments_from_python(monkeypatch):
+def test_an_inner_kernel_has_no_machine_code_of_its_own(monkeypatch):
     for one, has in ((_squared, False), (_twice, True)):
         monkeypatch.setitem(vars(one), "_cache", NullCache())  # what is loaded has no names
         one.compile((numba.float32,))
         compiled = one.overloads[(numba.float32,)]
         names = [function.name for function in compiled.library.get_defined_functions()]
-        assert any("cpython" in name for name in names) == has, names
+        assert any("cpython" in name for name in names) == bool(names) == has, names
 
 
 def test_one_that_another_process_compiled_is_linked(tmp_path):
@@ -119,6 +121,24 @@ def test_one_that_another_process_compiled_is_linked(tmp_path):
             [sys.executable, "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True
         )
         assert done.stdout == ("0\n" if ask.startswith("other") else "1\n")
+
+
+def test_one_that_refuses_a_number_names_it_to_whoever_calls_its_caller(tmp_path):
+    (tmp_path / "kernels_within.py").write_text(_KERNELS)
+    for loaded in (0, 1):
+        script = textwrap.dedent(
+            """
+            from kernels_within import *
+            try:
+                twice(100.0)
+            except ValueError as error:
+                print(*error.args, twice._cache_hits.total())
+            """
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True
+        )
+        assert done.stdout == f"too large 100.0 {loaded}\n"
 
 
 @inner
