@@ -56,8 +56,9 @@ set_up() {
         "$python" -m venv --clear .venv >&2
     fi
     local pip=".venv/bin/python -m pip --disable-pip-version-check --quiet"
-    # Python compiles what it imports; compiling all that is installed takes as long as installing it.
-    $pip install --no-compile --requirement "$lock" >&2 || die "the packages of $lock could not be installed: see pip's message above, mend it and run this again"
+    # The lock has all that is needed: pip need not look. Python compiles what it imports; compiling all that is
+    # installed takes as long as installing it.
+    $pip install --no-compile --no-deps --requirement "$lock" >&2 || die "the packages of $lock could not be installed: see pip's message above, mend it and run this again"
     # The build backend comes from the lock too.
     $pip install --no-deps --no-build-isolation --editable . >&2 || die "sms_jobs itself could not be installed: see pip's message above"
     fingerprint "$python" "$lock" >".venv/$lock.stamp"
