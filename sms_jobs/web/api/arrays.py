@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from fastapi import Path, Query
-from fastapi.responses import Response, StreamingResponse
+from fastapi.responses import Response
 
 from sms_jobs.app.fields import arrays, zarr_view
 from sms_jobs.app.fields.arrays import FileArrays
 from sms_jobs.app.holdings import reading
 from sms_jobs.app.holdings.reading import Newest, RecordParts
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.parts import InParts
 from sms_jobs.web.request_bodies import Name, Number, Text
 from sms_jobs.web.routes import Routes, answer
 
@@ -57,7 +58,7 @@ def part(
     """Return a part of an array."""
     found = arrays.read_part(services, str(key), record, name, part)
     ending: Iterable[bytes] = found.as_npy() if form == "npy" else found.as_table()
-    return StreamingResponse(ending, media_type=NPY if form == "npy" else CSV)
+    return InParts(ending, media_type=NPY if form == "npy" else CSV)
 
 
 @ROUTES.offer(

@@ -22,6 +22,7 @@ from sms_jobs.app.holdings.sealed_files import SealedFile
 from sms_jobs.records.shown.files import FileView
 from sms_jobs.web.byte_ranges import range_of
 from sms_jobs.web.identity import Acting
+from sms_jobs.web.parts import InParts
 from sms_jobs.web.request_bodies import Number, RequestBody, Text
 from sms_jobs.web.routes import Routes, answer, returned
 from sms_jobs.web.validators import has_already
@@ -115,7 +116,7 @@ def file(
     if part is not None:
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
     status = 200 if part is None else 206
-    return StreamingResponse(found.read(start, stop), status, headers, _ANY)
+    return InParts(found.read(start, stop), status, headers, _ANY)
 
 
 @ROUTES.offer("HEAD", "/data/{key:int}/file", sealed_files.sealed_file, media=(_ANY,))
