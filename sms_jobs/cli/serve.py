@@ -53,7 +53,7 @@ def serve(
 
         from sms_jobs.web import memory
         from sms_jobs.web.application import application
-        from sms_jobs.web.connections import PromptProtocol
+        from sms_jobs.web.connections import PromptProtocol, PromptServer
         from sms_jobs.web.protection import Options
 
     address, port = _place(listen)
@@ -80,7 +80,7 @@ def serve(
             app = application(services, Options(hosts, secure, desk=local and not behind_proxy))
         scheme = "https" if tls_certificate is not None else "http"
         output.say(f"serving {services.settings.home} at {scheme}://{listen}; Ctrl-C ends it")
-        server = uvicorn.Server(
+        server = PromptServer(
             uvicorn.Config(
                 app,
                 host=address,
@@ -95,7 +95,8 @@ def serve(
                 timeout_graceful_shutdown=5,
                 # Somebody who reads a page for a while asks again on the same connection.
                 timeout_keep_alive=_KEPT_OPEN_S,
-            )
+            ),
+            app.state.follower.dismiss,
         )
         if until_eof:
             threading.Thread(target=_end_with_stdin, args=(server,), name="stdin", daemon=True).start()

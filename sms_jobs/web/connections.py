@@ -1,10 +1,16 @@
-"""Connections over which a request has to come in time: who sends its head byte by byte is hung up on."""
+"""Connections over which a request has to come in time, and a server that waits for none that never ends.
+
+Who sends the head of a request byte by byte is hung up on; who listens to events is told that they end.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import socket
+from collections.abc import Callable
 from typing import Final
 
+import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEAD_WITHIN_S: Final = 10.0
@@ -54,3 +60,24 @@ class PromptProtocol(H11Protocol):
         if self.conn.trailing_data[0]:
             self.transport.write(_TOO_SLOW)
         self.transport.close()
+
+
+class PromptServer(uvicorn.Server):
+    """Uvicorn's server, which waits for answers when it ends: also for those that go on for ever.
+
+    Parameters
+    ----------
+    config
+        As for uvicorn.
+    ending
+        Called when it begins to end: has such answers end.
+    """
+
+    def __init__(self, config: uvicorn.Config, ending: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._ending = ending
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End what goes on for ever, then wait for the rest."""
+        self._ending()
+        await super().shutdown(sockets)

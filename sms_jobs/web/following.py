@@ -83,7 +83,7 @@ class Listener:
         self._told: deque[Told] = deque()
         self._ring = asyncio.Event()
         self.dropped = False
-        """Whether so much waited for this listener that it is told nothing more."""
+        """Whether this listener is told nothing more: so much waited for it, or the server ends."""
 
     def tell(self, told: Sequence[Told]) -> None:
         """Take what happened, each with where to go on after it; from any thread."""
@@ -91,6 +91,14 @@ class Listener:
             self.dropped = True
         else:
             self._told.extend(told)
+        self._wake()
+
+    def dismiss(self) -> None:
+        """Take nothing more, and wait for nothing; from any thread."""
+        self.dropped = True
+        self._wake()
+
+    def _wake(self) -> None:
         try:
             self._loop.call_soon_threadsafe(self._ring.set)
         except RuntimeError:  # the loop has ended
@@ -169,13 +177,20 @@ class Follower:
         with self._lock:
             self._listeners.discard(listener)
 
+    def dismiss(self) -> None:
+        """Tell nobody anything more, and everybody so."""
+        with self._lock:
+            for listener in self._listeners:
+                listener.dismiss()
+            self._listeners.clear()
+
     def end(self) -> None:
-        """Tell nobody anything more, and return once nothing is asked for, or after some seconds.
+        """Dismiss everybody, and return once nothing is asked for, or after some seconds.
 
         Whoever closes the catalogue does this before: what is asked for then would keep its connection.
         """
+        self.dismiss()
         with self._lock:
-            self._listeners.clear()
             thread = self._thread
         if thread is not None:
             thread.join(_ENDS_WITHIN_S)

@@ -30,7 +30,7 @@ def serving(
     options: Sequence[str] = (),
     environment: Mapping[str, str] | None = None,
 ) -> Iterator[str]:
-    """Run `sms serve` and give its address; it ends with the block."""
+    """Run `sms serve` and give its address; it ends with the block, with nothing to say but what it logs."""
     port = port or free_port()
     command = [sys.executable, "-P", "-m", "sms_jobs.cli.main", "serve", "--home", str(home)]
     command += ["--listen", f"127.0.0.1:{port}", *options]
@@ -51,7 +51,8 @@ def serving(
         yield f"{scheme}://127.0.0.1:{port}"
     finally:
         process.terminate()
-        process.communicate(timeout=30)
+        _, said = process.communicate(timeout=30)
+    assert "Traceback" not in said, said
 
 
 def _answers(port: int) -> bool:
