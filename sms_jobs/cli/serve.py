@@ -20,7 +20,6 @@ from sms_jobs.errors import Conflict, InvalidInput
 if TYPE_CHECKING:
     import uvicorn
 
-_KEPT_OPEN_S = 75
 HERE = "127.0.0.1:8470"
 """Where the console is unless told otherwise."""
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -49,11 +48,9 @@ def serve(
     """
     # Which takes a second; no other command needs it.
     with loading():
-        import uvicorn
-
         from sms_jobs.web import memory
         from sms_jobs.web.application import application
-        from sms_jobs.web.connections import PromptProtocol, PromptServer
+        from sms_jobs.web.connections import PromptServer
         from sms_jobs.web.protection import Options
 
     address, port = _place(listen)
@@ -81,22 +78,13 @@ def serve(
         scheme = "https" if tls_certificate is not None else "http"
         output.say(f"serving {services.settings.home} at {scheme}://{listen}; Ctrl-C ends it")
         server = PromptServer(
-            uvicorn.Config(
-                app,
-                host=address,
-                port=port,
-                http=PromptProtocol,
-                ssl_certfile=tls_certificate,
-                ssl_keyfile=tls_key,
-                proxy_headers=behind_proxy,
-                access_log=False,
-                server_header=False,
-                log_config=None,
-                timeout_graceful_shutdown=5,
-                # Somebody who reads a page for a while asks again on the same connection.
-                timeout_keep_alive=_KEPT_OPEN_S,
-            ),
+            app,
             app.state.follower.dismiss,
+            host=address,
+            port=port,
+            ssl_certfile=tls_certificate,
+            ssl_keyfile=tls_key,
+            proxy_headers=behind_proxy,
         )
         if until_eof:
             threading.Thread(target=_end_with_stdin, args=(server,), name="stdin", daemon=True).start()

@@ -1,4 +1,4 @@
-"""Connections over which a request has to come in time, and a server that waits for none that never ends.
+"""Connections over which a request has to come in time, and a server that ends whatever goes on.
 
 Who sends the head of a request byte by byte is hung up on; who listens to events is told that they end.
 """
@@ -6,15 +6,24 @@ Who sends the head of a request byte by byte is hung up on; who listens to event
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import uvicorn
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from sms_jobs.records.texts import harmless
+
+_log = logging.getLogger(__name__)
 
 HEAD_WITHIN_S: Final = 10.0
 """In which the first line and the headers of a request have to be there."""
+_KEPT_OPEN_S = 75
+"""Somebody who reads a page for a while asks again on the same connection."""
+_ENDS_WITHIN_S = 5
 _TOO_SLOW = (
     b"HTTP/1.1 408 Request Timeout\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n\r\n"
     b"The headers of the request came too slowly."
@@ -63,17 +72,29 @@ class PromptProtocol(H11Protocol):
 
 
 class PromptServer(uvicorn.Server):
-    """Uvicorn's server, which waits for answers when it ends: also for those that go on for ever.
+    """Uvicorn's server, which waits for answers for some seconds when it ends, and says what it cuts off.
 
     Parameters
     ----------
-    config
-        As for uvicorn.
+    app
+        What it serves.
     ending
-        Called when it begins to end: has such answers end.
+        Called when it begins to end: has answers end that would go on for ever.
+    options
+        As for `uvicorn.Config`: where it is reached, and how.
     """
 
-    def __init__(self, config: uvicorn.Config, ending: Callable[[], None]) -> None:
+    def __init__(self, app: ASGIApp, ending: Callable[[], None], **options: Any) -> None:
+        config = uvicorn.Config(
+            _said_when_cut_off(app),
+            http=PromptProtocol,
+            access_log=False,
+            server_header=False,
+            log_config=None,
+            timeout_graceful_shutdown=_ENDS_WITHIN_S,
+            timeout_keep_alive=_KEPT_OPEN_S,
+            **options,
+        )
         super().__init__(config)
         self._ending = ending
 
@@ -81,3 +102,15 @@ class PromptServer(uvicorn.Server):
         """End what goes on for ever, then wait for the rest."""
         self._ending()
         await super().shutdown(sockets)
+
+
+def _said_when_cut_off(app: ASGIApp) -> ASGIApp:
+    """Return an application of whose requests the log has a line where they are cancelled, and not where."""
+
+    async def asked(scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await app(scope, receive, send)
+        except asyncio.CancelledError:
+            _log.warning("the answer to %s was cut off: the server ends", harmless(scope.get("path", "")))
+
+    return asked

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import httpx2
-import uvicorn
 from fastapi import FastAPI
 
 from sms_jobs.bootstrap import Services
 from sms_jobs.web.application import application
+from sms_jobs.web.connections import PromptServer
 from sms_jobs.web.protection import Options
 
 API = "/api/v1"
@@ -27,9 +27,7 @@ def app_of(services: Services) -> FastAPI:
 @contextmanager
 def served(app: FastAPI) -> Iterator[httpx2.Client]:
     """Serve an application on a port of its own, to a client at its machine."""
-    server = uvicorn.Server(
-        uvicorn.Config(app, port=0, log_config=None, access_log=False, timeout_graceful_shutdown=1)
-    )
+    server = PromptServer(app, app.state.follower.dismiss, port=0)
     thread = threading.Thread(target=server.run, name="server")
     thread.start()
     try:
