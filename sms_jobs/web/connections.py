@@ -105,12 +105,14 @@ class PromptServer(uvicorn.Server):
 
 
 def _said_when_cut_off(app: ASGIApp) -> ASGIApp:
-    """Return an application of whose requests the log has a line where they are cancelled, and not where."""
+    """Return an application that logs in one line which request was cancelled, and not what it was doing."""
 
     async def asked(scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await app(scope, receive, send)
         except asyncio.CancelledError:
-            _log.warning("the answer to %s was cut off: the server ends", harmless(scope.get("path", "")))
+            if scope["type"] != "http":
+                raise
+            _log.warning("the answer to %s was cut off: the server ends", harmless(scope["path"]))
 
     return asked
