@@ -71,8 +71,9 @@ if [ $# = 0 ]; then
     # in one, since they share what is costly to make. In the order of the folders, so that those of the whole
     # service, which take longest, are not left for the end.
     set -- -n "$(($(getconf _NPROCESSORS_ONLN) + 2))" --dist loadfile --no-loadscope-reorder --durations=25
-    # A process that ended, because a test in it waited for ever, ends the run: a new one would wait as long again.
-    set -- "$@" --max-worker-restart=0
+    # A test that waits for ever is named after half an hour, with what it waits for, and ends the run: a new process
+    # would wait as long again. The slowest takes 4 to 8 min.
+    set -- "$@" -o faulthandler_timeout=1800 -o faulthandler_exit_on_timeout=true --max-worker-restart=0
     # What other packages bring for tests of their own is not loaded by each process: it takes two seconds.
     for plugin in anyio platformdirs schemathesis zarr; do
         set -- "$@" -p "no:$plugin"

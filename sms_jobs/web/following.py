@@ -151,6 +151,7 @@ class Follower:
         self._listeners: set[Listener] = set()
         self._orders: _Orders | None = None
         self._thread: threading.Thread | None = None
+        self._dismissed = False
 
     @property
     def listeners(self) -> int:
@@ -161,9 +162,13 @@ class Follower:
     def listen(self, listener: Listener) -> Cursor:
         """Tell a listener what happens from now on; return the numbers after which that is everything.
 
-        Asks the catalogue, and so does not belong into an event loop. Raises `ServerUnreachable`.
+        Whoever comes after all were dismissed is dismissed, too. Asks the catalogue, and so does not belong
+        into an event loop. Raises `ServerUnreachable`.
         """
         with self._lock:
+            if self._dismissed:
+                listener.dismiss()
+                return Cursor(0, 0)
             if self._orders is None:
                 self._orders = self._begun()
             self._listeners.add(listener)
@@ -180,6 +185,7 @@ class Follower:
     def dismiss(self) -> None:
         """Tell nobody anything more, and everybody so."""
         with self._lock:
+            self._dismissed = True
             for listener in self._listeners:
                 listener.dismiss()
             self._listeners.clear()

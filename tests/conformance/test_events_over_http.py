@@ -156,6 +156,10 @@ def test_a_follower_that_ends_asks_nothing_more(services: Services) -> None:
         follower, listener = Follower(services), Listener(asyncio.get_running_loop())
         await asyncio.to_thread(follower.listen, listener)
         follower.end()
+        late = Listener(asyncio.get_running_loop())
+        await asyncio.to_thread(follower.listen, late)
+        assert listener.dropped
+        assert late.dropped
         return follower.listeners, followers()
 
     assert asyncio.run(ended()) == (0, 0)
