@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import typer
@@ -61,10 +62,43 @@ class Command:
         return loaded
 
 
+def _check_only_what_is_given(command: Any) -> None:
+    """Let a command take the defaults of all that is asked of it as they are.
+
+    Typer checks defaults, too, and loads pydantic's adapters for it, a twelfth of a short command.
+    """
+    parameters, seen = command.get_params, []
+
+    def get_params(ctx: Any) -> list[Any]:
+        found: list[Any] = parameters(ctx)
+        for one in found:
+            if one not in seen:
+                seen.append(one)
+                one.get_runtime_param = _only_given(one.get_runtime_param)
+        return found
+
+    command.get_params = get_params
+
+
+def _only_given(checking: Callable[[], Any]) -> Callable[[], Any]:
+    """Return what checks a parameter's value unless it is the default."""
+
+    def coerce(value: Any, param: Any, ctx: Any) -> Any:
+        kind = param.type_descriptor.annotation
+        if value is None:
+            return () if param.multiple or param.nargs == -1 else None
+        if value is param.default and isinstance(kind, type) and isinstance(value, kind):
+            return value
+        return checking().coerce(value, param=param, ctx=ctx)
+
+    return lambda: SimpleNamespace(coerce=coerce)
+
+
 def _guard(command: Any) -> None:
     """Let a command, or those of a group, refuse what is given twice, and numbers that tell nothing."""
     for inner in getattr(command, "commands", {}).values():
         _guard(inner)
+    _check_only_what_is_given(command)
     run = command.callback
     if run is None or getattr(command, "commands", None):
         return
@@ -194,6 +228,7 @@ class Commands(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
+        _check_only_what_is_given(self)
         self.commands = _Loading(self.table)
         self._chosen = ""
 

@@ -26,8 +26,7 @@ Home = Annotated[
     Path | None,
     typer.Option(
         "--home",
-        envvar="SMS_HOME",
-        help="Folder of catalogue and archive; ~/sms-home if not given.",
+        help="Folder of catalogue and archive; $SMS_HOME if not given, or ~/sms-home.",
         show_default=False,
     ),
 ]

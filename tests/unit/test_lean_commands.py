@@ -135,6 +135,15 @@ def test_a_status_loads_what_it_shows(home: Path) -> None:
     assert found <= allowed | folders
 
 
+def test_what_is_left_out_is_not_checked(home: Path) -> None:
+    make_home(home, {})
+    asking = [words for words in ASKING if ">" not in words]
+    found = modules(*asking, "job list --limit 5", home=home)
+    # With which Typer checks values.
+    assert [words for words in asking if "typer._adapters" in found[words]] == []
+    assert "typer._adapters" in found["job list --limit 5"]
+
+
 def test_what_asks_some_tables_maps_no_others(home: Path) -> None:
     make_home(home, {})
     asking = ("status", "job list", "campaign list", "data find", "worker list")
