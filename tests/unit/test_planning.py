@@ -322,3 +322,21 @@ def test_a_kind_that_can_do_nothing_in_a_campaign_is_refused(kind: str) -> None:
         plan(alone("C1"), [Request(kind)], images_exist)
     with pytest.raises(InvalidInput, match="KIND one of correlate, export"):
         plan(alone("C1"), [Request("pipeline", {"reconstruct.blur_px": 5})], images_exist)
+
+
+def test_a_report_needs_nothing_of_a_state_that_is_left_out() -> None:
+    def all_but_one(need: Need) -> Existing | None:
+        there = need.subject.state != "S02" or need.source == MEASUREMENT
+        return Existing(file_id=1) if there else None
+
+    with pytest.raises(NotFound, match="first, or leave the state out with leave_out=S02"):
+        plan(CAMPAIGN, [Request("report")], all_but_one)
+    (job,) = plan(CAMPAIGN, [Request("report", {"leave_out": "S02"})], all_but_one)
+    assert "S02" not in {i.need.subject.state for i in job.inputs}
+
+    def nothing_at_rest(need: Need) -> Existing | None:
+        return None if need.subject.state == CAMPAIGN.reference.label else Existing(file_id=1)
+
+    with pytest.raises(NotFound) as error:
+        plan(CAMPAIGN, [Request("report")], nothing_at_rest)
+    assert "leave" not in str(error.value)

@@ -218,13 +218,14 @@ def _connected(
     nodes, pending = {key: _Node() for key in asked}, deque(asked)
 
     def connect(node: _Node, name: str, subject: Subject) -> None:
-        for need in requested[name].kind.checked_needs(campaign, subject, parameters[name]):
+        kind = requested[name].kind
+        for need in kind.checked_needs(campaign, subject, parameters[name]):
             # What is needed of another campaign must be there: this plan is not about it.
             maker = makers.get(need.source) if need.subject.campaign == campaign.name else None
             producer = None if maker is None else (maker.name, covering(maker, need.subject))
             if producer is not None and producer[0] in once and producer not in asked:
                 producer = None
-            existing = None if producer is not None else _existing(campaign, need, find, f"{name} {subject}")
+            existing = None if producer is not None else _existing(campaign, need, find, kind, subject)
             node.inputs.append((need, producer, existing))
 
     while pending:
@@ -355,17 +356,25 @@ def _selected(requested: _Requested) -> list[Subject]:
     ]
 
 
-def _existing(campaign: Campaign, need: Need, find: Callable[[Need], Existing | None], who: str) -> Existing:
+def _existing(
+    campaign: Campaign, need: Need, find: Callable[[Need], Existing | None], kind: Kind[Any], subject: Subject
+) -> Existing:
     existing = find(need)
     if existing is None:
+        who = f"{kind.name} {subject}"
         if need.source == CALIBRATION:
             raise NotFound(
                 f"{who} needs a calibration of rig {campaign.rig} that is valid when it was measured, and "
                 f"there is none; bring one in with 'sms calibration import FILE --rig {campaign.rig}', or "
                 "certify one that was measured"
             )
+        without = ""
+        state = need.subject.state
+        if "leave_out" in kind.parameters.model_fields and state not in (None, campaign.reference.label):
+            without = f", or leave the state out with leave_out={state}"
         raise NotFound(
-            f"{who} needs the {need.source} of {need.subject}, and there is none; {_way_to(campaign, need)}"
+            f"{who} needs the {need.source} of {need.subject}, and there is none; "
+            f"{_way_to(campaign, need)}{without}"
         )
     return existing
 

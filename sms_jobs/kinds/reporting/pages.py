@@ -77,6 +77,8 @@ class ReportPages:
         Told after each state.
     most_bytes
         Largest size of the page: maps are sampled more coarsely until it fits.
+    left_out
+        Labels of the states of which the page says that it does not show them.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class ReportPages:
         pictured: Sequence[LoadState],
         progress: Progress,
         most_bytes: float = math.inf,
+        left_out: Sequence[str] = (),
     ) -> None:
         self._inputs = inputs
         self._planned = campaign
@@ -94,7 +97,7 @@ class ReportPages:
         self._sampling = sampling
         self._pictured = {state.label for state in pictured}
         self._progress, self._told = progress, 0.0
-        self._most_bytes = most_bytes
+        self._most_bytes, self._left_out = most_bytes, left_out
         self._chapters = present(self._campaign)
         self._deformed = tested_states(self._campaign)[1:]
         self._drawn = 0
@@ -227,6 +230,8 @@ class ReportPages:
         along = axes(tested_states(campaign))
         page.add(axes_block(along))
         overview = [campaign_facts(campaign), load_states(tested_states(campaign), self._recorded_at())]
+        if self._left_out:
+            overview.append(html.paragraph(f"Left out, as was asked for: {', '.join(self._left_out)}."))
         page.section(Section("Load states", overview))
         for name, followed in chapters.items():
             found = followed.charts()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from dataclasses import replace
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.documents import Document, DocumentOutput
 from sms_jobs.kinds.kind import Inputs, Kind, Need, Output, Progress, Scope, tested_states, tuples
 from sms_jobs.kinds.parameters import Parameters
@@ -25,6 +27,14 @@ from sms_jobs.records.campaign import Campaign, LoadState
 from sms_jobs.records.subject import Subject
 
 
+def _parted(value: Any) -> Any:
+    return tuple(dict.fromkeys(n for n in value.split(",") if n)) if isinstance(value, str) else value
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_parted)]
+"""As "a,b" or one by one."""
+
+
 class PageParameters(Parameters):
     """How finely a report shows images, and what else it shows."""
 
@@ -32,14 +42,9 @@ class PageParameters(Parameters):
         320, ge=64, le=4096, description="most samples of a map along its longer side, for zoom and values"
     )
     figure_width_px: int = Field(420, ge=240, le=1600, description="width of every printed picture in pixels")
-    also: tuple[str, ...] = Field(
+    also: Names = Field(
         (), description="results that not everybody has: gauges, of jobs 'gauges' that have run"
     )
-
-    @field_validator("also", mode="before")
-    @classmethod
-    def _parted(cls, value: Any) -> Any:
-        return tuple(n for n in value.split(",") if n) if isinstance(value, str) else value
 
     @field_validator("also")
     @classmethod
@@ -67,6 +72,17 @@ class ReportParameters(PageParameters):
     most_mb: int = Field(
         60, ge=1, le=2000, description="largest size of the page in MB: maps are sampled more coarsely to fit"
     )
+    leave_out: Names = Field(
+        (), description="states that are not shown, such as some that could not be measured: S03,S07"
+    )
+
+
+def _without(campaign: Campaign, labels: Iterable[str]) -> Campaign:
+    """Return a campaign as if it had not some states."""
+    out = [campaign.state(label) for label in labels]
+    if campaign.reference in out:
+        raise InvalidInput(f"{campaign.reference.label} is the reference state: every report shows it")
+    return replace(campaign, states=tuple(state for state in campaign.states if state not in out))
 
 
 def pictured_states(campaign: Campaign, most: int) -> tuple[LoadState, ...]:
@@ -107,6 +123,10 @@ def subjects(campaign: Campaign) -> Iterable[Subject]:
     return (Subject(campaign.name),) if tested_states(campaign) and present(campaign) else ()
 
 
+def _needs_of_shown(campaign: Campaign, subject: Subject, parameters: ReportParameters) -> Iterable[Need]:
+    return needs(_without(campaign, parameters.leave_out), subject, parameters)
+
+
 def whole_campaign(campaign: Campaign, subject: Subject) -> Campaign:
     """Say that the report depends on the whole definition of the campaign."""
     return campaign
@@ -117,10 +137,11 @@ def run(inputs: Inputs, parameters: ReportParameters, progress: Progress) -> Ite
 
     Records are read one at a time while it is written; nothing but numbers is kept of them.
     """
-    campaign: Campaign = inputs.context
+    campaign = _without(inputs.context, parameters.leave_out)
     pictured = pictured_states(campaign, parameters.most_states)
     sampling = Sampling(parameters.map_px, parameters.figure_width_px)
-    pages = ReportPages(inputs, campaign, sampling, pictured, progress, 1e6 * parameters.most_mb)
+    most_bytes = 1e6 * parameters.most_mb
+    pages = ReportPages(inputs, campaign, sampling, pictured, progress, most_bytes, parameters.leave_out)
     yield DocumentOutput(inputs.subject, PAGE, f"{campaign.name}-report.html", pages.write_page)
     progress(1.0, "wrote the report")
 
@@ -133,7 +154,7 @@ KIND = Kind(
     parameters=ReportParameters,
     inputs=SHOWN,
     outputs=(PAGE,),
-    needs=needs,
+    needs=_needs_of_shown,
     run=run,
     subjects=subjects,
     context=whole_campaign,

@@ -190,6 +190,28 @@ def test_a_state_has_a_report_of_its_own(run: Run) -> None:
     assert "<G2> [µε]" in page.words
 
 
+def test_states_are_left_out_and_the_page_says_which(run: Run) -> None:
+    long = campaign(states=4, virtual=False)
+    chosen = report.ReportParameters(leave_out="S01,S03,S01")
+    needed = report.KIND.checked_needs(long, Subject("plate"), chosen)
+    assert {need.subject.state for need in needed} == {None, "S00", "S02"}
+    ((_, path),) = run(report.KIND, long, Subject("plate"), leave_out="S01,S03,S01")
+    words = Checker.of(path.read_text(encoding="utf-8")).words
+    assert "Left out, as was asked for: S01, S03." in words
+    assert "State S02, 2469 N" in words
+    assert [text for text in words if text.startswith(("State S01", "State S03"))] == []
+
+
+@pytest.mark.parametrize(
+    ("label", "why"),
+    [("S9", "has no state S9"), ("S00", "S00 is the reference state: every report shows it")],
+)
+def test_what_cannot_be_left_out_is_refused(label: str, why: str) -> None:
+    chosen = report.ReportParameters(leave_out=(label,))
+    with pytest.raises(InvalidInput, match=why):
+        report.KIND.checked_needs(campaign(states=4), Subject("plate"), chosen)
+
+
 def test_only_what_is_known_can_be_shown_besides() -> None:
     with pytest.raises(ValidationError, match="has no extra 'moments'; choose among gauges"):
         report.ReportParameters(also=("moments",))
