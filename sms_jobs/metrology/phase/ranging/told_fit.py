@@ -17,10 +17,12 @@ from sms_jobs.metrology.phase.ranging.reference_fit import factorize, substitute
 
 DECIDED = 2.0 * log(1e4)  # in chi-square: odds of 10^4, as of fringe orders
 
+_AT_ONCE = 16  # pixels: of single precision a line of the cache
 _STEPS = 20
 _NEGLIGIBLE = 1e-3  # gain in chi-square that is not worth another step
 _ROUNDING = 1.0 + 1e-5  # of chi-square
 _EASIER, _HARDER, _DAMPING = 0.2, 10.0, 1e-3
+_SHORT = 0.1  # of the longest step: one that gains nothing leads nowhere else
 
 
 class Model(NamedTuple):
@@ -96,6 +98,8 @@ class Room(NamedTuple):
         Derivatives of z by both omega, for amplitude 1, and by both amplitudes, (4, 2, densities).
     normal, factor, slope, step, trial
         Of a step: (4, 4), (4, 4), (4,), (4,), (4,).
+    block
+        Signal and weight of some pixels that follow each other, (pixels, 3, densities).
     """
 
     signal: Singles
@@ -108,6 +112,7 @@ class Room(NamedTuple):
     slope: Floats
     step: Floats
     trial: Floats
+    block: Singles
 
 
 def new_room(size: int) -> Room:
@@ -123,6 +128,7 @@ def new_room(size: int) -> Room:
         np.zeros(4),
         np.zeros(4),
         np.zeros(4),
+        np.empty((_AT_ONCE, 3, size), np.float32),
     )
 
 
@@ -175,47 +181,57 @@ def _off(solution: Floats, told: Floats, told_sigma: Floats) -> float:
 
 @inner
 @uncounted_summing_kernel
-def _add_column(i: int, solution: Floats, room: Room) -> None:
-    """Write a row of the normal matrix and of the right-hand side, but for the amplitudes' own."""
-    weight, left, columns = room.weight, room.left, room.columns
-    one, p, q, r, s = columns[i], columns[0], columns[1], columns[2], columns[3]
-    on_p, on_q, on_r, on_s = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    slope = np.float32(0.0)
-    for t in range(weight.size):
-        re, im = weight[t] * one[0, t], weight[t] * one[1, t]
-        slope += re * left[0, t] + im * left[1, t]
-        on_p += re * p[0, t] + im * p[1, t]
-        on_q += re * q[0, t] + im * q[1, t]
-        on_r += re * r[0, t] + im * r[1, t]
-        on_s += re * s[0, t] + im * s[1, t]
-    a, b, scale = solution[2], solution[3], solution[2 + i] if i < 2 else 1.0
-    room.slope[i] = scale * slope
-    normal = room.normal[i]
-    normal[0], normal[1] = scale * a * on_p, scale * b * on_q
-    normal[2], normal[3] = scale * on_r, scale * on_s
-
-
-@inner
-@uncounted_summing_kernel
 def _write_equations(solution: Floats, told: Floats, told_sigma: Floats, room: Room) -> None:
-    """Write the normal matrix and the right-hand side, from what `_misfit` wrote."""
-    for i in range(4):
-        _add_column(i, solution, room)
+    """Write the normal matrix, on and below its diagonal, and the right-hand side, after `_misfit`."""
+    weight, left, columns, normal, slope = room.weight, room.left, room.columns, room.normal, room.slope
+    p, q, r, s = columns[0], columns[1], columns[2], columns[3]
+    zero = np.float32(0.0)
+    on_p, on_q, on_r, on_s = zero, zero, zero, zero
+    pp, qp, rp, sp, qq, rq, sq, rr, sr, ss = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+    for t in range(weight.size):
+        w, x, y = weight[t], left[0, t], left[1, t]
+        p_re, p_im, q_re, q_im = w * p[0, t], w * p[1, t], w * q[0, t], w * q[1, t]
+        r_re, r_im, s_re, s_im = r[0, t], r[1, t], s[0, t], s[1, t]
+        on_p += p_re * x + p_im * y
+        pp += p_re * p[0, t] + p_im * p[1, t]
+        qp += p_re * q[0, t] + p_im * q[1, t]
+        rp += p_re * r_re + p_im * r_im
+        sp += p_re * s_re + p_im * s_im
+        on_q += q_re * x + q_im * y
+        qq += q_re * q[0, t] + q_im * q[1, t]
+        rq += q_re * r_re + q_im * r_im
+        sq += q_re * s_re + q_im * s_im
+        on_r += w * (r_re * x + r_im * y)
+        rr += w * (r_re * r_re + r_im * r_im)
+        sr += w * (r_re * s_re + r_im * s_im)
+        on_s += w * (s_re * x + s_im * y)
+        ss += w * (s_re * s_re + s_im * s_im)
+    a, b = solution[2], solution[3]
+    normal[0, 0], slope[0] = a * a * pp, a * on_p
+    normal[1, 0], normal[1, 1], slope[1] = a * b * qp, b * b * qq, b * on_q
+    normal[2, 0], normal[2, 1], normal[2, 2] = a * rp, b * rq, float(rr)
+    normal[3, 0], normal[3, 1], normal[3, 2], normal[3, 3] = a * sp, b * sq, float(sr), float(ss)
+    slope[2], slope[3] = float(on_r), float(on_s)
     for k in range(2):
         precision = 1.0 / (told_sigma[k] * told_sigma[k])
-        room.normal[2 + k, 2 + k] += precision
-        room.slope[2 + k] += precision * (told[k] - solution[2 + k])
+        normal[2 + k, 2 + k] += precision
+        slope[2 + k] += precision * (told[k] - solution[2 + k])
 
 
 @inner
 @uncounted_summing_kernel
 def _fit(
-    model: Model, told: Floats, told_sigma: Floats, enough: float, solution: Floats, room: Room
+    model: Model,
+    told: Floats,
+    told_sigma: Floats,
+    enough: float,
+    solution: Floats,
+    room: Room,
 ) -> float:
     """Move a solution to the next minimum by damped Gauss-Newton; return chi-square with the amplitudes'.
 
     It does not move on where all steps together would not bring that below `enough`. The equations from which
-    the last, negligible step was taken are left behind.
+    the last, negligible step was taken are left behind; what that step gains is not looked at.
     """
     slope, step, trial = room.slope, room.step, room.trial
     longest = pi / room.weight.size  # half a bin
@@ -229,11 +245,16 @@ def _fit(
             damping *= _HARDER
             continue
         substitute(room.factor, 4, step)
-        part = min(1.0, longest / max(abs(step[0]), abs(step[1]), longest))
+        length = max(abs(step[0]), abs(step[1]))
+        part = min(1.0, longest / max(length, longest))
         gain = 0.0
         for i in range(4):
             trial[i] = solution[i] + part * step[i]
             gain += step[i] * slope[i]
+        if gain <= _NEGLIGIBLE and length <= _SHORT * longest:
+            for i in range(4):
+                solution[i] = trial[i]
+            return lowest
         reached = _misfit(model, trial, room) + _off(trial, told, told_sigma)
         if not reached <= lowest * _ROUNDING:
             damping *= _HARDER
@@ -287,22 +308,22 @@ def _fit_sides(model: Model, known: Known, n: int, solved: Solved, room: Room) -
     found, told, told_sigma = known.found[n], known.told[n], known.told_sigma[n]
     solved.without[n] = _misfit(model, found, room)
     middle = (found[0] * found[2] + found[1] * found[3]) / (found[2] + found[3])
-    share, apart = told[1] / (told[0] + told[1]), _distance(model, told, room)
+    apart = _distance(model, told, room)
+    lowest, before = np.inf, told
     for side in range(2):
         solution = solved.solutions[n, side]
+        share = before[1] / (before[0] + before[1])
         solution[0], solution[1] = middle - share * apart, middle + (1.0 - share) * apart
-        solution[2], solution[3] = told[0], told[1]
-        solved.misfits[n, side] = _misfit(model, solution, room)
-        apart = -apart
-    lowest, side = np.inf, 0 if solved.misfits[n, 0] <= solved.misfits[n, 1] else 1
-    for _ in range(2):
-        solution = solved.solutions[n, side]
+        solution[2], solution[3] = before[0], before[1]
         reached = _fit(model, told, told_sigma, lowest + DECIDED, solution, room)
         solved.misfits[n, side] = reached
         if reached < lowest:
             lowest = reached
             _write_sigma(room, solved.sigma[n])
-        side = 1 - side
+        # The other side is looked for where it shows as much but for the third power of t.
+        before = solution[2:]
+        middle = (solution[0] * before[0] + solution[1] * before[1]) / (before[0] + before[1])
+        apart = solution[0] - solution[1]
 
 
 @uncounted_summing_kernel
@@ -334,10 +355,16 @@ def fit_row(
     room
         Of `new_room`.
     """
-    z, weight = room.signal, room.weight
-    for i in range(columns.size):
-        column = columns[i]
+    z, weight, block = room.signal, room.weight, room.block
+    for start in range(0, columns.size, len(block)):
+        count = min(len(block), columns.size - start)
+        # Some pixels at a time: one alone lies in as many lines of the processor's cache as it has densities.
         for t in range(weight.size):
-            z[0, t], z[1, t] = signal[0, t, column], signal[1, t, column]
-            weight[t] = np.float32(0.0) if lost[t, column] else precision[t, i]
-        _fit_sides(model, known, first + i, solved, room)
+            for i in range(count):
+                column = columns[start + i]
+                block[i, 0, t], block[i, 1, t] = signal[0, t, column], signal[1, t, column]
+                block[i, 2, t] = np.float32(0.0) if lost[t, column] else precision[t, start + i]
+        for i in range(count):
+            for t in range(weight.size):
+                z[0, t], z[1, t], weight[t] = block[i, 0, t], block[i, 1, t], block[i, 2, t]
+            _fit_sides(model, known, first + start + i, solved, room)
