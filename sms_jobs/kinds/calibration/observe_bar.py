@@ -44,7 +44,7 @@ from sms_jobs.metrology.calibration.stage.pan_tilt_refinement import (
     sphere_regions,
 )
 from sms_jobs.metrology.geometry.planes import trace
-from sms_jobs.metrology.phase.texture_error import relative_gradient
+from sms_jobs.metrology.phase.seen_texture import relative_gradient
 from sms_jobs.metrology.targets.sphere_blur import blur_shift
 from sms_jobs.metrology.targets.sphere_layout import SphereLayout
 from sms_jobs.metrology.targets.spheres import SphereSearch, find_spheres

@@ -13,11 +13,10 @@ from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.transforms import PACKED
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.phase.phase_places import PhaseMap, Places, carried
+from sms_jobs.metrology.phase.seen_texture import SeenTexture, Shift
 from sms_jobs.metrology.phase.texture_error import BLUR_ROWS, Corrected, textured_interior
 from sms_jobs.metrology.phase.texture_of_two import (
     UNKNOWN_ROUGH_PX,
-    SeenTexture,
-    Shift,
     Spots,
     estimate_rough,
     estimate_spot,

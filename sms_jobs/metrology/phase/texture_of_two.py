@@ -9,12 +9,12 @@ phases tell each camera's: they would be smooth without the texture.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from scipy import ndimage
 
-from sms_jobs.metrology.arrays import Floats, Mask, Singles
+from sms_jobs.metrology.arrays import Floats, Singles
+from sms_jobs.metrology.phase.seen_texture import Floating, SeenTexture, Shift
 from sms_jobs.metrology.phase.texture_error import (
     LARGEST_BLUR,
     PRECISION,
@@ -25,17 +25,9 @@ from sms_jobs.metrology.phase.texture_error import (
     TRIM,
     UNKNOWN,
     Blur,
-    Floating,
-    log_gradient,
-    relative_gradient,
-    roughness,
     roughness_told,
-    texture_shift,
     textured_interior,
 )
-
-Shift: TypeAlias = tuple[Floats, Singles]
-"""What texture does to the phases of a camera: see `texture_shift`."""
 
 UNKNOWN_ROUGH_PX = UNKNOWN.rough_px
 """Of cameras whose images do not tell."""
@@ -44,53 +36,6 @@ _FLAT, _, _BEND = np.linalg.qr(np.vander(np.arange(-_REACH, _REACH + 1.0), 3, in
 """Orthonormal polynomials over seven pixels."""
 _MODEL_SIGMA = 0.02
 """px^2 that the spot of a camera is off a Gaussian's, as what pixels show of textures tells it; by trial."""
-
-
-@dataclass(frozen=True)
-class SeenTexture:
-    """The texture in a camera's image.
-
-    Attributes
-    ----------
-    gradient, relative
-        (2, rows, columns) in 1/px, of `log_gradient` and `relative_gradient`.
-    rough
-        (2, rows, columns) of `roughness`.
-    usable
-        (rows, columns): whose omega can be used.
-    threads
-        How many threads to use; the result does not depend on it.
-    """
-
-    gradient: Floats
-    relative: Floats
-    rough: Floats
-    usable: Mask
-    threads: int
-
-    @classmethod
-    def of(cls, modulation: Singles, usable: Mask, lit: Mask, threads: int) -> SeenTexture:
-        """Return that of the modulation (directions, rows, columns), which is known where it is `lit`."""
-        brightness = modulation.mean(axis=0)
-        return cls(
-            log_gradient(brightness, lit),
-            relative_gradient(brightness),
-            roughness(brightness),
-            usable,
-            threads,
-        )
-
-    def shift(self, omega: Floats) -> Shift:
-        """Return what `texture_shift` does, of phases that the camera sees."""
-        return texture_shift(omega, self.usable, self.gradient, self.rough, self.threads)
-
-    def beside(self, variance: float, most_px: float) -> tuple[Mask, Mask]:
-        """Return whose light comes from farther off than it may, and of which `relative` alone says so."""
-        far, doubtful = (
-            self.usable & (variance * np.hypot(slope[0], slope[1]) > most_px)
-            for slope in (self.gradient, self.relative)
-        )
-        return far, doubtful
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from sms_jobs.metrology.phase.exposure import (
     projector_dimming,
 )
 from sms_jobs.metrology.phase.patterns import phase_gradient
+from sms_jobs.metrology.phase.seen_texture import log_gradient, relative_gradient, roughness, texture_shift
 from sms_jobs.metrology.phase.temporal_unwrapping import PhaseGradient, unwrap
-from sms_jobs.metrology.phase.texture_error import log_gradient, roughness, texture_shift
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Cylinder, Gloss, Simulation
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -75,7 +75,8 @@ def score(found: PhaseGradient, modulation: NDArray[np.floating]) -> NDArray[np.
     """Return the errors of omega over their standard deviations, rid of the highlight's own slope."""
     _, _, inside, xy = shiny()
     usable = ndimage.binary_dilation(inside) & ~found.saturated
-    gradient, rough = log_gradient(modulation, usable), roughness(modulation)
+    gradient = log_gradient(modulation, usable, relative_gradient(modulation))
+    rough = roughness(modulation)
     shift = texture_shift(found.omega[None], usable, gradient, rough)[0][0]
     error = found.omega - SPOT**2 * shift - phase_gradient(xy, 256, 192, 0.0)
     return (error / found.omega_sigma)[inside & ~found.saturated]

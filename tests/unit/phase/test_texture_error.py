@@ -14,14 +14,8 @@ from sms_jobs.bench.fringes.fringe_textures import TexturedPlate, record
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import independent_covariance
-from sms_jobs.metrology.phase.texture_error import (
-    UNKNOWN,
-    estimate_blur,
-    log_gradient,
-    roughness,
-    texture_shift,
-    textured_interior,
-)
+from sms_jobs.metrology.phase.seen_texture import log_gradient, relative_gradient, roughness, texture_shift
+from sms_jobs.metrology.phase.texture_error import UNKNOWN, estimate_blur, textured_interior
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.subject import Subject
@@ -58,7 +52,9 @@ def inside(values: Floats) -> Floats:
 def test_the_shift_of_a_textured_surface_is_taken_away(rng: np.random.Generator) -> None:
     brightness, measured, exact = seen_through_a_spot(rng)
     valid = np.ones(SHAPE, dtype=bool)
-    shift, _ = texture_shift(measured, valid, log_gradient(brightness, valid), roughness(brightness))
+    shift, _ = texture_shift(
+        measured, valid, log_gradient(brightness, valid, relative_gradient(brightness)), roughness(brightness)
+    )
     before = inside(measured - exact)
     after = inside(measured - SPOT**2 * shift - exact)
     assert np.abs(before).max() > 5e-4
@@ -69,7 +65,8 @@ def test_the_shift_of_a_textured_surface_is_taken_away(rng: np.random.Generator)
 
 def test_the_log_gradient_of_an_exponential_is_its_exponent() -> None:
     y, x = np.indices(SHAPE).astype(float)
-    found = log_gradient(np.exp(0.11 * x - 0.07 * y), np.ones(SHAPE, bool))
+    brightness = np.exp(0.11 * x - 0.07 * y)
+    found = log_gradient(brightness, np.ones(SHAPE, bool), relative_gradient(brightness))
     # A cubic spline's derivative at the knots is good to h^4 f^(5) / 180, 1e-6 relative; the mirrored
     # border's part of it falls by 0.27 a pixel, to 1e-7 after twelve.
     np.testing.assert_allclose(inside(inside(found[0])), 0.11, rtol=1e-5)
@@ -77,7 +74,9 @@ def test_the_log_gradient_of_an_exponential_is_its_exponent() -> None:
 
 
 def test_darkness_has_no_gradient() -> None:
-    np.testing.assert_array_equal(log_gradient(np.zeros((8, 9)), np.zeros((8, 9), bool)), 0.0)
+    dark = np.zeros((8, 9))
+    found = log_gradient(dark, dark.astype(bool), relative_gradient(dark))
+    np.testing.assert_array_equal(found, 0.0)
 
 
 def test_slopes_do_not_reach_across_edges_or_gaps() -> None:

@@ -7,8 +7,9 @@ import pytest
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats
+from sms_jobs.metrology.phase.seen_texture import SeenTexture
 from sms_jobs.metrology.phase.texture_error import UNKNOWN
-from sms_jobs.metrology.phase.texture_of_two import SeenTexture, Spots, estimate_rough, estimate_spot
+from sms_jobs.metrology.phase.texture_of_two import Spots, estimate_rough, estimate_spot
 
 SIDE, FINER = 96, 8
 SIGMA = 2e-5
