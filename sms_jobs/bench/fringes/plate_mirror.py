@@ -14,7 +14,7 @@ from scipy import ndimage
 from sms_jobs.bench.fringes.peeling import peel_returns
 from sms_jobs.kinds.shape.phase_task import PhaseTask
 from sms_jobs.kinds.shape.phases import sensor_pair
-from sms_jobs.kinds.shape.ranged_phases import transfers
+from sms_jobs.kinds.shape.ranged_phases import rows_that_tell, transfers
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.arrays import Floats, Mask
@@ -83,7 +83,7 @@ class Plate:
                 refinements=refinements,
                 mtf=transfer,
             )
-            for k, transfer in enumerate(transfers(task))
+            for k, transfer in enumerate(transfers(task, rows_that_tell(measurement)))
         ]
         candidates = CandidateReturns(
             np.stack([f.omega for f in found]),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sms_jobs.bench.fringes.returns import FULL_SCALE, MODULATION, STEPS, patterns
 from sms_jobs.kinds.shape.phase_task import Geometry, Known, PhaseParameters, PhaseTask, mark
 from sms_jobs.kinds.shape.phases import sensor_pair
-from sms_jobs.kinds.shape.ranged_phases import amplitude_spread, range_slab, shares_amplitudes
+from sms_jobs.kinds.shape.ranged_phases import amplitude_spread, range_slab, rows_that_tell, shares_amplitudes
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons
 from sms_jobs.metrology.geometry.camera import project
 from sms_jobs.metrology.geometry.planes import trace
@@ -170,7 +170,8 @@ class Plate:
         many = len(orientations)
         known = Known([np.ones(FRINGES)] * many, [None] * many, [], corrected=False)
         if shares_amplitudes(parameters):
-            known = replace(known, amplitude_spread=amplitude_spread(task, known.transfers, None))
+            told = rows_that_tell(measurement)
+            known = replace(known, amplitude_spread=amplitude_spread(task, told, known.transfers, None))
         phase = PhaseMaps.unset(orientations, rows, columns, bracketed=False)
         returns = ReturnMaps.unset(orientations, parameters.returns, rows, columns)
         reason = np.zeros((rows, columns), np.uint32)

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter
 from scipy.special import chdtri
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
-from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
+from sms_jobs.kinds.shape.streaming import some_rows
 from sms_jobs.metrology.arrays import Mask, Singles
 from sms_jobs.metrology.phase.gray_code import (
     UNREAD,
@@ -67,7 +67,7 @@ def joint_codes(measurement: Measurement) -> tuple[JointCode, ...]:
     if not sequence.joint:
         return ()
     told, levels = stated_code(sequence, offsets_of(measurement)), measurement.grey_levels
-    some, _ = in_best_exposure(measurement, sampled(measurement.frames, _ROWS, _COLUMNS))
+    some = some_rows(measurement, _ROWS).pixels(_COLUMNS)
     each = range(len(sequence.orientations_rad))
     return tuple(with_transfer(some[sequence.frames_of(k)], told, levels) for k in each)
 

@@ -11,8 +11,8 @@ from pydantic import Field
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.parameters import Parameters
-from sms_jobs.kinds.shape.streaming import in_best_exposure
-from sms_jobs.metrology.arrays import Floats, Ints, Mask
+from sms_jobs.kinds.shape.streaming import RowSample, some_rows
+from sms_jobs.metrology.arrays import Floats, Mask
 from sms_jobs.metrology.phase.phase_stepping import phase_sigma
 from sms_jobs.metrology.phase.response import (
     Response,
@@ -88,9 +88,13 @@ class SampledResponse:
 
 
 def sampled_response(
-    subject: Subject, measurement: Measurement, parameters: SampleParameters, threads: int
+    subject: Subject,
+    measurement: Measurement,
+    parameters: SampleParameters,
+    threads: int,
+    sample: RowSample | None = None,
 ) -> SampledResponse:
-    """Find the response in some rows of a measurement, each pixel in its best exposure.
+    """Find the response in some rows of a measurement, in those of a sample if one is given.
 
     Raises
     ------
@@ -99,8 +103,10 @@ def sampled_response(
     """
     sequence = measurement.sequence
     densities = tuple(t for t in sequence.densities if t > 0)
-    picked, taken = _some_rows(measurement, parameters.rows)
-    frames = [taken[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
+    sample = sample or some_rows(measurement, parameters.rows)
+    frames = [
+        sample.frames[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))
+    ]
     found = [_unwrapped(measurement, densities, one, threads) for one in frames]
     good = _thinned(_good(found, measurement, parameters), parameters.most_pixels)
     _refuse_few(good, subject)
@@ -129,12 +135,14 @@ def sampled_response(
     good = single
     omega = np.stack([one.omega[good] for one in found])
     row, column = np.nonzero(good)
-    pixels = np.stack([column.astype(np.float64), picked[row].astype(np.float64)], axis=-1)
+    pixels = np.stack([column.astype(np.float64), sample.rows[row].astype(np.float64)], axis=-1)
     sigma = tuple(float(np.median(one.omega_sigma[good])) for one in found)
     return SampledResponse(responses, densities, pixels, omega, sigma)
 
 
-def rough_response(subject: Subject, measurement: Measurement, threads: int) -> SampledResponse | None:
+def rough_response(
+    subject: Subject, measurement: Measurement, threads: int, sample: RowSample | None = None
+) -> SampledResponse | None:
     """Find the response from few pixels; None where it matters not or cannot be told.
 
     It matters where it moves phase gradients by a tenth of their own noise. It cannot be told of one
@@ -145,10 +153,11 @@ def rough_response(subject: Subject, measurement: Measurement, threads: int) -> 
     if foreign or len(set(sequence.densities) - {0}) < 2:
         return None
     try:
-        sample = sampled_response(subject, measurement, _ROUGH, threads)
+        few = None if sample is None else sample.thinned(_ROUGH.rows)
+        found = sampled_response(subject, measurement, _ROUGH, threads, few)
     except MeasurementFailed:
         return None
-    found = replace(sample, responses=tuple(_significant(one) for one in sample.responses))
+    found = replace(found, responses=tuple(_significant(one) for one in found.responses))
     matters = any(
         np.abs(gradient_ripple(response, omega, found.densities, measurement.sequence.steps)).max()
         > _NEGLIGIBLE * sigma
@@ -171,14 +180,6 @@ def _refuse_few(good: Mask, subject: Subject) -> None:
             f"{_LEAST_PIXELS} are needed to find the projector's response: look at more rows, or lower "
             "minimum_modulation_to_noise; to reconstruct without it, set response=none"
         )
-
-
-def _some_rows(measurement: Measurement, rows: int) -> tuple[Ints, NDArray[Any]]:
-    """Return the numbers of evenly spread rows, and their frames."""
-    height = measurement.frames.shape[1]
-    picked = np.unique(height * (2 * np.arange(rows) + 1) // (2 * rows))
-    taken = np.concatenate([measurement.frames.rows(row, row + 1) for row in picked.tolist()], axis=1)
-    return picked, in_best_exposure(measurement, taken)[0]
 
 
 def _unwrapped(

@@ -34,7 +34,13 @@ from sms_jobs.kinds.shape.fringe_response import (
     sampled_response,
 )
 from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseParameters, PhaseTask, mark, noise_reasons
-from sms_jobs.kinds.shape.ranged_phases import amplitude_spread, range_slab, shares_amplitudes, transfers
+from sms_jobs.kinds.shape.ranged_phases import (
+    amplitude_spread,
+    range_slab,
+    rows_that_tell,
+    shares_amplitudes,
+    transfers,
+)
 from sms_jobs.kinds.shape.streaming import exposed_slabs
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
@@ -146,25 +152,25 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
 def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
     """Return what is known before the first slab: of the response roughly where it is not to be corrected."""
     sequence = task.measurement.sequence
-    sample = response or rough_response(task.subject, task.measurement, task.threads)
+    rows = None if task.parameters.method == UNWRAPPING else rows_that_tell(task.measurement)
+    sample = response or rough_response(task.subject, task.measurement, task.threads, rows)
     ripples: list[RippleTable] = []
     responses: list[Response | None] = [None] * len(sequence.orientations_rad)
     if sample is not None:
         ripples = [ripple_table(one, sample.densities, sequence.steps) for one in sample.responses]
         responses = list(sample.responses)
     ranged: list[Floats] = []
-    if task.parameters.method != UNWRAPPING:
+    if rows is not None:
         ranged = (
-            transfers(task)
+            transfers(task, rows)
             if response is None
             else [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
         )
     known = Known(ranged, responses, ripples, response is not None, joint_codes(task.measurement))
-    if not shares_amplitudes(task.parameters):
+    if rows is None or not shares_amplitudes(task.parameters):
         return known
-    return replace(
-        known, amplitude_spread=amplitude_spread(task, ranged, responses if known.corrected else None)
-    )
+    spread = amplitude_spread(task, rows, ranged, responses if known.corrected else None)
+    return replace(known, amplitude_spread=spread)
 
 
 def _largest_ripple(ripples: list[RippleTable]) -> float:

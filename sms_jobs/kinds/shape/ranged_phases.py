@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.shape.phase_task import UNWRAPPING, Known, PhaseParameters, PhaseTask, mark, noise_reasons
-from sms_jobs.kinds.shape.streaming import in_best_exposure, sampled
+from sms_jobs.kinds.shape.streaming import RowSample, some_rows
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.geometry.ray_pairing import (
     AMPLITUDE_TOLERANCE,
@@ -31,12 +31,13 @@ from sms_jobs.metrology.phase.ranging.plan import CLOSE_BINS
 from sms_jobs.metrology.phase.ranging.shared_amplitudes import CloseReturns, ToldApart, tell_apart
 from sms_jobs.metrology.phase.response import Response
 from sms_jobs.records.fields import PhaseMaps, ReturnMaps
-from sms_jobs.records.measurement import FringeSequence
+from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
 
-_SAMPLED = (4, 512)  # rows, and pixels of each, that tell the modulation transfer
-_COMPARED = (32, 512)  # rows, and pixels of each, that tell how far amplitudes of two orientations agree
-_BESIDE = 4  # of these rows lie side by side: few places of a recording are read twice
+_TELLING = 32  # rows of which are the pixels that tell what holds for the whole image
+_BESIDE = 4  # of these rows lie side by side: few places of a recording are read
+_SAMPLED = 64  # pixels of each that tell the modulation transfer
+_COMPARED = 512  # and how far amplitudes of two orientations agree
 _WELL_APART = 1.5  # bins: a second return raises the bound of omega by 2 %
 _TOLD_APART = 0.7  # bins: by 40 %
 _WIDTH_SIGMA = 1.5  # of a sharp return's width, times s, over the root of noise by amplitude: see `Returns`
@@ -46,10 +47,15 @@ _MEDIAN_OF_SQUARES = 0.4549  # of a normal number of standard deviation 1
 _LEAST_SPREAD = 0.01  # what a median of so few can miss
 
 
-def transfers(task: PhaseTask) -> list[Floats]:
-    """Return the modulation transfer over the densities of each orientation, from a sample of the rows."""
+def rows_that_tell(measurement: Measurement) -> RowSample:
+    """Return the rows that tell the modulation transfer, and how far amplitudes of orientations agree."""
+    return some_rows(measurement, _TELLING, _BESIDE)
+
+
+def transfers(task: PhaseTask, sample: RowSample) -> list[Floats]:
+    """Return the modulation transfer over the densities of each orientation, from few pixels of a sample."""
     measurement, sequence = task.measurement, task.measurement.sequence
-    frames, _ = in_best_exposure(measurement, sampled(measurement.frames, *_SAMPLED))
+    frames = sample.pixels(_SAMPLED)
     return [
         transfer_of_sample(
             frames[sequence.frames_of(k)],
@@ -218,16 +224,13 @@ def _with_fitted(one: Returns, where: Mask, fitted: ToldApart) -> Returns:
 
 
 def amplitude_spread(
-    task: PhaseTask, transfers: list[Floats], responses: list[Response | None] | None
+    task: PhaseTask, sample: RowSample, transfers: list[Floats], responses: list[Response | None] | None
 ) -> float:
     """Return by which part amplitudes of one return differ between orientations, beside noise.
 
     As a standard deviation, in a sample of the rows: where two orientations tell two returns well apart.
     """
-    frames, _ = in_best_exposure(
-        task.measurement, sampled(task.measurement.frames, *_COMPARED, beside=_BESIDE)
-    )
-    found = _ranged(task, transfers, responses, frames)
+    found = _ranged(task, transfers, responses, sample.pixels(_COMPARED))
     sequence = task.measurement.sequence
     well = [_apart_bins(one, sequence) >= _WELL_APART for one in found]
     squares = [

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sms_jobs.metrology.arrays import Singles
+from sms_jobs.metrology.arrays import Ints, Singles
 from sms_jobs.metrology.phase.exposure import merge_exposures
 from sms_jobs.records.measurement import FrameStack, Measurement
 
@@ -44,17 +45,44 @@ def row_slabs(stack: FrameStack, threads: int) -> Iterator[tuple[slice, NDArray[
             yield slab, frames
 
 
-def sampled(stack: FrameStack, rows: int, columns: int, beside: int = 1) -> NDArray[Any]:
-    """Return (frames, at most `rows`, about `columns`) of a stack: single pixels, evenly spread.
+@dataclass(frozen=True)
+class RowSample:
+    """Some rows of a measurement, each pixel in its best exposure.
 
-    So many rows lie `beside` each other, and are read at once.
+    Attributes
+    ----------
+    rows
+        (n,): their numbers.
+    frames
+        (patterns, n, columns).
     """
-    _, height, width = stack.shape
-    groups = max(min(rows, height) // beside, 1)
-    starts = [height * (2 * i + 1) // (2 * groups) - beside // 2 for i in range(groups)]
-    step = max(width // columns, 1)
-    return np.concatenate(
-        [stack.rows(max(row, 0), min(row + beside, height))[..., ::step] for row in starts], axis=1
+
+    rows: Ints
+    frames: NDArray[Any]
+
+    def thinned(self, rows: int) -> RowSample:
+        """Return every n-th of them, so that about `rows` are left, evenly spread."""
+        step = max(len(self.rows) // rows, 1)
+        return RowSample(self.rows[::step], self.frames[:, ::step])
+
+    def pixels(self, columns: int) -> NDArray[Any]:
+        """Return (patterns, n, about `columns`): single pixels, evenly spread."""
+        return self.frames[..., :: max(self.frames.shape[2] // columns, 1)]
+
+
+def some_rows(measurement: Measurement, count: int, beside: int = 1) -> RowSample:
+    """Return `count` rows of a measurement, fewer of a low image, in evenly spread groups.
+
+    So many lie `beside` each other and are read at once; of an image of 2^n rows from where a chunk begins.
+    """
+    stack = measurement.frames
+    height = stack.shape[1]
+    groups = max(min(count, height) // beside, 1)
+    starts = [height * (2 * i + 1) // (2 * groups) for i in range(groups)]
+    each = [range(max(min(start, height - beside), 0), min(start + beside, height)) for start in starts]
+    frames = np.concatenate([stack.rows(rows.start, rows.stop) for rows in each], axis=1)
+    return RowSample(
+        np.concatenate([np.array(rows) for rows in each]), in_best_exposure(measurement, frames)[0]
     )
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sms_jobs.kinds.shape.streaming import exposed_slabs, in_best_exposure, row_slabs, sampled
+from sms_jobs.kinds.shape.streaming import exposed_slabs, in_best_exposure, row_slabs, some_rows
 from sms_jobs.metrology.phase.exposure import merge_exposures
-from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
+from sms_jobs.records.measurement import FringeSequence, Measurement
 
 
 @dataclass
@@ -90,14 +90,6 @@ def test_many_frames_make_lower_slabs() -> None:
     assert heights == {16}
 
 
-def test_a_sample_is_spread_over_the_image() -> None:
-    rows, columns = np.mgrid[0:90, 0:50].astype(np.uint16)
-    picked = sampled(ArrayStack(np.stack([rows, columns])), 3, 10)
-    np.testing.assert_array_equal(picked[0, :, 0], [15, 45, 75])
-    np.testing.assert_array_equal(picked[1, 0], np.arange(0, 50, 5))
-    assert sampled(ArrayStack(np.zeros((2, 2, 3))), 5, 10).shape == (2, 2, 3)
-
-
 EXPOSURES = (1.0, 0.25, 4.0)
 
 
@@ -107,13 +99,37 @@ def bracketed(stack: Counted, exposures: tuple[float, ...]) -> Measurement:
     return Measurement(datetime(2026, 1, 1, tzinfo=UTC), sequence, 4000, 0.1, 2.0, white, stack)
 
 
-@pytest.mark.parametrize(("height", "starts"), [(100, [10, 35, 60, 85]), (9, [0, 4]), (2, [0])])
+def test_a_sample_is_spread_over_the_image() -> None:
+    rows, columns = np.mgrid[0:90, 0:50].astype(np.uint16)
+    found = some_rows(bracketed(Counted(np.stack([rows, columns])), (1.0,)), 3)
+    np.testing.assert_array_equal(found.rows, [15, 45, 75])
+    np.testing.assert_array_equal(found.frames[0, :, 0], [15, 45, 75])
+    np.testing.assert_array_equal(found.pixels(10)[1, 0], np.arange(0, 50, 5))
+    np.testing.assert_array_equal(found.pixels(80), found.frames)
+
+
+@pytest.mark.parametrize(
+    ("height", "starts"), [(128, [16, 48, 80, 112]), (100, [12, 37, 62, 87]), (9, [2, 5]), (2, [0])]
+)
 def test_rows_of_a_sample_lie_beside_each_other(height: int, starts: list[int]) -> None:
-    """And are read at once, no row twice, however low the image is."""
+    """And are read at once, however low the image is."""
     stack = Counted(np.arange(height, dtype=np.uint16)[None, :, None])
-    found = sampled(stack, 16, 1, beside=4)[0, :, 0].tolist()
+    found = some_rows(bracketed(stack, (1.0,)), 16, beside=4)
     assert [start for start, _ in stack.asked] == starts
-    assert found == [row for start in starts for row in range(start, min(start + 4, height))]
+    wanted = [row for start in starts for row in range(start, min(start + 4, height))]
+    assert found.rows.tolist() == found.frames[0, :, 0].tolist() == wanted
+    few = found.thinned(4)
+    assert few.rows.tolist() == few.frames[0, :, 0].tolist() == wanted[:: max(len(wanted) // 4, 1)]
+
+
+def test_a_sample_has_the_best_exposure_of_each_pixel(rng: np.random.Generator) -> None:
+    stack = Counted(rng.integers(0, 4096, (18, 40, 7), dtype=np.uint16))
+    recorded = bracketed(stack, EXPOSURES)
+    best, _ = in_best_exposure(recorded, stack.frames)
+    found = some_rows(recorded, 8, beside=2)
+    np.testing.assert_array_equal(found.frames, best[:, found.rows])
+    # Chunks of an image of 2^n rows begin where a group does: none is read for two groups.
+    assert all(start % 10 == 5 for start, _ in stack.asked)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
