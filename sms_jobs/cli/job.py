@@ -1,20 +1,20 @@
-"""`sms job`: submit, follow and mend jobs."""
+"""`sms job`: submit, follow and mend jobs.
+
+What only some of its commands need is imported there: of all commands, `sms job list` is typed most.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.work import jobs as jobs_
-from sms_jobs.app.work import kinds as kinds_
-from sms_jobs.app.work.jobs import Refusal, Submitted, Work
-from sms_jobs.app.work.waiting import Waited, Waiting, wait_for
 from sms_jobs.cli import completion, output
-from sms_jobs.cli.kind_options import CONTEXT, KindCommand, split_words
+from sms_jobs.cli.kind_options import CONTEXT, KindCommand, given_parameters, split_words
 from sms_jobs.cli.options import CampaignOption, JobId, NoCache, Priority
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import as_json as outlook_as_json
@@ -22,6 +22,10 @@ from sms_jobs.cli.waiting import estimate_text, followed, outlook_text, tell_rem
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.sizes import number_of, size
+
+if TYPE_CHECKING:
+    from sms_jobs.app.work.submitting import Refusal, Submitted, Work
+    from sms_jobs.app.work.waiting import Waited, Waiting
 
 _FINDINGS = 6
 _MOST_REFUSED = 20
@@ -109,6 +113,8 @@ def submit(
 
     Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
+    from sms_jobs.app.work import submitting, waiting
+
     if wait and dry_run:
         raise InvalidInput("--dry-run submits nothing that --wait could wait for; give one of them")
     if (campaign is None) == (where is None):
@@ -118,14 +124,14 @@ def submit(
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
     views = tuple(view or ())
-    work = Work(
+    work = submitting.Work(
         campaign or "", tuple(kind), parameters, tuple(state or ()), views, priority, not no_cache, run
     )
     with bootstrap.services(home) as services:
         if where is not None:
             _submit_found(services, where, work, dry_run, as_json)
             return
-        done = jobs_.submit(services, work, dry_run=dry_run)
+        done = submitting.submit(services, work, dry_run=dry_run)
         if as_json and (dry_run or not wait):
             output.print_json(_submitted_as_json(work.campaign, done, dry_run))
         elif not as_json:
@@ -135,7 +141,7 @@ def submit(
         _tell_refused(done.refused)
         if wait and (done.counted or as_json):
             with followed(stop="sms job cancel") as tell:
-                waited = wait_for(services, done.jobs, tell=tell)
+                waited = waiting.wait_for(services, done.jobs, tell=tell)
             _tell_waited(waited, as_json)
     if done.refused:
         raise typer.Exit(_FINDINGS)
@@ -185,7 +191,9 @@ def kinds(as_json: Json = False) -> None:
 
     Example: sms job kinds
     """
-    found = kinds_.kinds()
+    from sms_jobs.app.work.kinds import kinds as all_kinds
+
+    found = all_kinds()
     if as_json:
         output.print_json_list(
             {
@@ -320,6 +328,8 @@ def watch(
 
     Example: sms job watch -c wing-fatigue
     """
+    from sms_jobs.app.work.waiting import wait_for
+
     with bootstrap.services(home) as services:
         some = jobs_.choose(services, jobs or [], campaign)
         counted_before: dict[str, int] = {}
@@ -353,6 +363,8 @@ def wait(
 
     Example: sms job wait -c wing-fatigue --timeout 3600
     """
+    from sms_jobs.app.work.waiting import wait_for
+
     with bootstrap.services(home) as services:
         some = jobs_.choose(services, jobs or [], campaign)
         with followed(stop="sms job cancel") as tell:
@@ -403,22 +415,6 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
         return
     for sentence in found.sentences:
         output.print_sentence(sentence)
-
-
-def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
-    """Return the parameters of NAME=VALUE words; a value with commas is a list."""
-    parameters: dict[str, Any] = {}
-    for text in settings:
-        name, equals, value = text.partition("=")
-        if not equals or not name:
-            raise InvalidInput(f"--set {text} is not NAME=VALUE; write it like --set gauge_length_mm=30")
-        if name in parameters:
-            raise InvalidInput(
-                f"the parameter '{name}' is given more than once: give it once; 'sms job submit KIND --help' "
-                "says how several values are written in one"
-            )
-        parameters[name] = value.split(",") if "," in value else value
-    return parameters
 
 
 def _tell_waited(waited: Waited, as_json: bool) -> None:

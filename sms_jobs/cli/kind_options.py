@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from typer.core import TyperCommand
 
-from sms_jobs.app.work.kinds import KindView, find_kind
 from sms_jobs.cli import output
 from sms_jobs.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from sms_jobs.app.work.kinds import KindView
 
 _WORDS = "sms_jobs.cli.kind_options.words"
 
@@ -51,8 +53,27 @@ def split_words(words: Sequence[str], own: Sequence[str] = ()) -> tuple[list[str
     return kinds, settings
 
 
+def given_parameters(settings: Sequence[str]) -> dict[str, Any]:
+    """Return the parameters of NAME=VALUE words; a value with commas is a list."""
+    parameters: dict[str, Any] = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InvalidInput(f"--set {text} is not NAME=VALUE; write it like --set gauge_length_mm=30")
+        if name in parameters:
+            raise InvalidInput(
+                f"the parameter '{name}' is given more than once: give it once; 'sms job submit KIND --help' "
+                "says how several values are written in one"
+            )
+        parameters[name] = value.split(",") if "," in value else value
+    return parameters
+
+
 def refuse_misspelt(kinds: Sequence[str], settings: Sequence[str], own: Sequence[str]) -> None:
     """Raise `InvalidInput` where a setting of a kind is one of the command's `own` options, misspelt."""
+    # Which loads every kind.
+    from sms_jobs.app.work.kinds import find_kind
+
     kind = find_kind(kinds[0]) if settings and len(kinds) == 1 else None
     if kind is None:
         return
@@ -85,6 +106,8 @@ class KindCommand(TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the command's help, then that of the kinds."""
+        from sms_jobs.app.work.kinds import find_kind
+
         super().format_help(ctx, formatter)
         for word in ctx.meta.get(_WORDS, ()):
             kind = find_kind(word)

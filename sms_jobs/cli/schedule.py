@@ -10,9 +10,9 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.work import schedules
-from sms_jobs.app.work.jobs import Work
+from sms_jobs.app.work.submitting import Work
 from sms_jobs.cli import completion, output
-from sms_jobs.cli.job import given_parameters
+from sms_jobs.cli.kind_options import given_parameters
 from sms_jobs.cli.options import CampaignOption, NoCache, Priority
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput

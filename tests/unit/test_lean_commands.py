@@ -151,6 +151,22 @@ def test_what_asks_some_tables_maps_no_others(home: Path) -> None:
     assert [words for words in asking if "sms_jobs.catalogue.tables.every" in found[words]] == []
 
 
+def test_to_list_jobs_needs_nothing_that_submits_or_waits_for_them(home: Path) -> None:
+    make_home(home, {})
+    asked, submitted = "job list", "job submit simulate -c plate --dry-run"
+    found = modules(asked, submitted, home=home)
+    names = (
+        "app.work.submitting",
+        "app.work.waiting",
+        "jobs.planning.graph",
+        "jobs.planning.estimates",
+        "kinds",
+    )
+    submitting = {f"sms_jobs.{name}" for name in names}
+    assert submitting & found[asked] == set()
+    assert submitting <= found[submitted]
+
+
 def test_a_module_of_tables_brings_those_that_its_own_refer_to() -> None:
     alone = (
         "import os, sys\n"

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sms_jobs.cli.job import given_parameters
-from sms_jobs.cli.kind_options import split_words
+from sms_jobs.cli.kind_options import given_parameters, split_words
 from sms_jobs.formats.report.certificate import calibration_summary, doubts, doubts_of, recordings
 from sms_jobs.formats.report.origins import commands, origins
 from sms_jobs.kinds import kind_named
