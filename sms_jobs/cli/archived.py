@@ -1,4 +1,4 @@
-"""`sms data find`, `show`, `tree` and `plot`: what the archive holds."""
+"""`sms data show`, `tree` and `plot`: what the archive holds."""
 
 from __future__ import annotations
 
@@ -9,19 +9,8 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app import writing
-from sms_jobs.app.holdings import files, finding
-from sms_jobs.cli import found_files, output
-from sms_jobs.cli.found_files import (
-    After,
-    As,
-    Columns,
-    FindOptions,
-    Limit,
-    OfCampaign,
-    OfState,
-    OfView,
-    Out,
-)
+from sms_jobs.app.holdings import files
+from sms_jobs.cli import output
 from sms_jobs.cli.options import Force, Record, StoredFile
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.records.shown.files import Ancestor, FileView
@@ -33,35 +22,6 @@ if TYPE_CHECKING:
 
 _SHOWN_ALIKE = 8
 """Inputs of one source that a tree shows one by one; a calibration has a hundred."""
-
-
-def find(
-    query: Annotated[
-        str | None,
-        typer.Argument(help="What to find, in quotation marks: 'strain where load_kN > 1400'."),
-    ] = None,
-    kind: Annotated[
-        str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
-    ] = None,
-    campaign: OfCampaign = None,
-    state: OfState = None,
-    view: OfView = None,
-    limit: Limit = 50,
-    after: After = None,
-    columns: Columns = None,
-    form: As = None,
-    out: Out = None,
-    force: Force = False,
-    home: Home = None,
-    as_json: Json = False,
-) -> None:
-    """Find measurements, results and calibrations, the newest first; docs/query.md has the language.
-
-    Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
-    """
-    asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
-    portion = finding.portion(columns, after, limit)
-    found_files.tell(home, lambda _: asked, FindOptions(portion, form, out, force, as_json))
 
 
 def show(file: StoredFile, home: Home = None, as_json: Json = False) -> None:

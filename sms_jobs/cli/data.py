@@ -9,7 +9,7 @@ from sms_jobs.cli.commands import Command, Commands
 TABLE = {
     "find": Command(
         "Find measurements, results and calibrations, the newest first; docs/query.md has the language.",
-        "cli.archived",
+        "cli.found_files",
         "find",
     ),
     "states": Command(

@@ -1,4 +1,4 @@
-"""What `data find`, `data states` and `data query run` share: options, and how they tell what was found."""
+"""`sms data find`, and what `states` and `query run` share with it: options, and how files are told."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from sms_jobs.app.holdings import finding
 from sms_jobs.app.holdings.finding import OF_FILE, Question
 from sms_jobs.app.row_tables import write_csv, write_parquet
 from sms_jobs.cli import completion, output
+from sms_jobs.cli.options import Force
+from sms_jobs.cli.output import Home, Json
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.shown.files import Found, Page
 from sms_jobs.records.shown.portion import Portion
@@ -73,6 +75,35 @@ class FindOptions:
     out: Path | None
     force: bool
     as_json: bool
+
+
+def find(
+    query: Annotated[
+        str | None,
+        typer.Argument(help="What to find, in quotation marks: 'strain where load_kN > 1400'."),
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option(help="measurement, calibration, or the kind of a result.")
+    ] = None,
+    campaign: OfCampaign = None,
+    state: OfState = None,
+    view: OfView = None,
+    limit: Limit = 50,
+    after: After = None,
+    columns: Columns = None,
+    form: As = None,
+    out: Out = None,
+    force: Force = False,
+    home: Home = None,
+    as_json: Json = False,
+) -> None:
+    """Find measurements, results and calibrations, the newest first; docs/query.md has the language.
+
+    Example: sms data find 'strain where load_kN > 1400 and max_principal > 1e-3' -c wing-fatigue
+    """
+    asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
+    portion = finding.portion(columns, after, limit)
+    tell(home, lambda _: asked, FindOptions(portion, form, out, force, as_json))
 
 
 def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
