@@ -1,5 +1,6 @@
 """Close returns whose amplitudes another orientation tells: errors, sides, and what speaks against them."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -155,3 +156,24 @@ def test_what_tells_no_place_is_spoken_against() -> None:
     result = fit(frames, both(omega), told())
     assert result.against[:COLUMNS].all()
     assert not result.against[COLUMNS:].any()
+
+
+def test_a_pixel_is_fitted_alike_whichever_others_are() -> None:
+    omega = returns(0.5)
+    frames, amplitudes, found = recorded(omega), told(), both(omega)
+    camera = replace(CAMERA, gain=0.05)  # whose noise differs from pixel to pixel
+
+    def some(where: Mask, threads: int) -> ToldApart:
+        chosen = where.ravel()
+        close = CloseReturns(where, found[:, chosen], amplitudes[:, chosen], TOLD_SIGMA[:, chosen])
+        return tell_apart(frames, tuple(T), Q, camera, TRANSFER, close, threads=threads)
+
+    whole = some(np.ones((ROWS, COLUMNS), np.bool_), 1)
+    # Rows of as many pixels as a block of them has, which is 16, and one more or less; not side by side.
+    few = np.zeros((ROWS, COLUMNS), np.bool_)
+    for row, count in enumerate((0, 1, 15, 16, 17, 31, 32, 33)):
+        few[row, np.random.default_rng(row).permutation(COLUMNS)[:count]] = True
+    few[10:, ::3] = True
+    part = some(few, 2)
+    for name in ("omega", "omega_sigma", "amplitude", "ambiguous", "against"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[..., few.ravel()])
