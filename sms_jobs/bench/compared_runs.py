@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import jobs, submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import jobs, new_jobs
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bench.tampering import runner
 from sms_jobs.errors import SmsError
 from sms_jobs.jobs.archiving.registration import register_campaign
@@ -76,7 +76,7 @@ def measured(home: Path, quick: bool, say: Callable[[str], None]) -> ComparedRun
             (_AFTER, _KINDS, wider),
         ):
             say(f"computing run {run} of {len(campaign.states)} states and {len(campaign.views)} views")
-            done = submitting.submit(services, Work(CAMPAIGN, kinds, parameters, run=run))
+            done = new_jobs.submit(services, Work(CAMPAIGN, kinds, parameters, run=run))
             runner(home, services.catalogue, services.archive).run_queued()
             failed = [one for one in jobs.list_jobs(services, limit=len(done.job_ids)) if one.error]
             if failed:

@@ -24,7 +24,7 @@ from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.sizes import number_of, size
 
 if TYPE_CHECKING:
-    from sms_jobs.app.work.submitting import Refusal, Submitted, Work
+    from sms_jobs.app.work.new_jobs import Refusal, Submitted, Work
     from sms_jobs.app.work.waiting import Waited, Waiting
 
 _FINDINGS = 6
@@ -113,7 +113,7 @@ def submit(
 
     Example: sms job submit reconstruct --method fdr --returns 2 -c wing-fatigue
     """
-    from sms_jobs.app.work import submitting, waiting
+    from sms_jobs.app.work import new_jobs, waiting
 
     if wait and dry_run:
         raise InvalidInput("--dry-run submits nothing that --wait could wait for; give one of them")
@@ -124,14 +124,14 @@ def submit(
     kind, settings = split_words(kind)
     parameters = given_parameters([*settings, *(parameter or [])])
     views = tuple(view or ())
-    work = submitting.Work(
+    work = new_jobs.Work(
         campaign or "", tuple(kind), parameters, tuple(state or ()), views, priority, not no_cache, run
     )
     with bootstrap.services(home) as services:
         if where is not None:
             _submit_found(services, where, work, dry_run, as_json)
             return
-        done = submitting.submit(services, work, dry_run=dry_run)
+        done = new_jobs.submit(services, work, dry_run=dry_run)
         if as_json and (dry_run or not wait):
             output.print_json(_submitted_as_json(work.campaign, done, dry_run))
         elif not as_json:

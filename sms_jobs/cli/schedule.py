@@ -10,7 +10,7 @@ import typer
 
 from sms_jobs import bootstrap
 from sms_jobs.app.work import schedules
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.cli import completion, output
 from sms_jobs.cli.kind_options import given_parameters
 from sms_jobs.cli.options import CampaignOption, NoCache, Priority

@@ -17,7 +17,7 @@ from sms_jobs.app.holdings.reading import StoredRecord
 from sms_jobs.app.specimens.frame_choice import Choice, Place
 from sms_jobs.app.specimens.specimen_axes import in_specimen_frame
 from sms_jobs.app.specimens.specimen_frames import FrameOf
-from sms_jobs.app.work.submitting import Submitted, Work
+from sms_jobs.app.work.new_jobs import Submitted, Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.errors import ConfigurationError, InvalidInput
 from sms_jobs.lab.datasets import MISSING, dataset_of

@@ -21,7 +21,7 @@ from sms_jobs.app.measuring.plan_wishes import PlanWish
 from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.app.specimens.specimen_frames import FrameOf
 from sms_jobs.app.work.jobs import Explanation
-from sms_jobs.app.work.submitting import Refusal, Submitted, Work
+from sms_jobs.app.work.new_jobs import Refusal, Submitted, Work
 from sms_jobs.app.work.waiting import Waited, timed_out
 from sms_jobs.lab.connection import Connection
 from sms_jobs.records.campaign import Campaign

@@ -17,9 +17,9 @@ from sms_jobs.app.measuring.plan_wishes import PlanWish
 from sms_jobs.app.specimens import campaigns, specimen_frames
 from sms_jobs.app.specimens.frame_choice import Choice
 from sms_jobs.app.specimens.specimen_frames import FrameOf
-from sms_jobs.app.work import jobs, run_comparison, submitting, waiting
+from sms_jobs.app.work import jobs, new_jobs, run_comparison, waiting
 from sms_jobs.app.work.jobs import Explanation
-from sms_jobs.app.work.submitting import Submitted, Work
+from sms_jobs.app.work.new_jobs import Submitted, Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.shown.files import Page
@@ -162,7 +162,7 @@ class Home:
 
     def submit(self, work: Work, dry_run: bool) -> Submitted:
         """Submit jobs."""
-        return submitting.submit(self._services, work, dry_run=dry_run)
+        return new_jobs.submit(self._services, work, dry_run=dry_run)
 
     def compare_runs(self, before: str, after: str) -> RunComparison:
         """Return what differs between two runs."""

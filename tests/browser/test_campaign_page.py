@@ -14,8 +14,8 @@ from support.homes import make_home, stored
 from support.serving import serving
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import new_jobs
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.tables.files import ResultRow
 from sms_jobs.catalogue.tables.jobs import EventRow, JobRow
@@ -32,7 +32,7 @@ def services(home: Path) -> Iterator[Services]:
     """A home with a stale surface, whose jobs wait."""
     make_home(home, {})
     with bootstrap.services(home) as services:
-        submitting.submit(services, Work("plate", ("simulate", "pipeline")))
+        new_jobs.submit(services, Work("plate", ("simulate", "pipeline")))
         y, x = np.mgrid[0:60, 0:80].astype(float)
         record = Surface("C1P1", "mm", np.stack([x, y, x * y]), np.zeros((60, 80), np.uint32))
         file = stored(services, "reconstruct", "plate/S00/C1P1", {"surface": record})

@@ -16,7 +16,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.measuring import planned_recordings
 from sms_jobs.app.measuring.planned_recordings import InTime
 from sms_jobs.app.work import schedules
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.archiving import acceptances
 from sms_jobs.jobs.archiving.registration import register_calibration

@@ -17,8 +17,8 @@ from support.serving import serving
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
-from sms_jobs.app.work import jobs, submitting, waiting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import jobs, new_jobs, waiting
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.records.people import Role
 
 PASSWORD = "correct horse battery"
@@ -35,7 +35,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         people.add(services, "vera", Role.VIEWER, SecretStr(PASSWORD))
         with service(home):
             for name, parameters in (("first", {}), ("wider", {"correlate.subset_radius_px": 12})):
-                submitting.submit(services, Work("plate", KINDS, parameters, views=("C1P1",), run=name))
+                new_jobs.submit(services, Work("plate", KINDS, parameters, views=("C1P1",), run=name))
                 waited = waiting.wait_for(services, jobs.choose(services, [], "plate"))
                 assert waited.failures == 0
     with serving(home) as address:

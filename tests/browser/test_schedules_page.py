@@ -13,7 +13,7 @@ from support.serving import serving
 
 from sms_jobs import bootstrap
 from sms_jobs.app.work import schedules
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work.new_jobs import Work
 
 TARGET_PX = 44
 CHOSEN = "document.activeElement.id"

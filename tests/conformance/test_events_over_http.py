@@ -16,8 +16,8 @@ from support.jobs import add_event
 from support.over_http import app_of, listening, served
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import happenings, submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import happenings, new_jobs
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import changes
 from sms_jobs.records.shown.changes import Followed
@@ -36,7 +36,7 @@ def services(deployment: Deployment) -> Iterator[Services]:
         for name, value in deployment.environment.items():
             patch.setenv(name, value)
         with bootstrap.services(deployment.home, "web") as opened:
-            submitting.submit(opened, Work("plate", ("simulate",)))
+            new_jobs.submit(opened, Work("plate", ("simulate",)))
             yield opened
 
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.app.holdings import reading
-from sms_jobs.app.work import found_work, jobs, run_comparison, runs, schedules, submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import found_work, jobs, new_jobs, run_comparison, runs, schedules
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
@@ -59,7 +59,7 @@ def work(run: str | None, parameters: dict[str, Any] | None = None, kinds: tuple
 def computed(services: Services, *asked: Work) -> None:
     """Submit work and run all of it in this process."""
     for one in asked:
-        submitting.submit(services, one)
+        new_jobs.submit(services, one)
         runner(services.catalogue, services.archive, Clock()).run_queued()
 
 
@@ -190,7 +190,7 @@ def test_a_kept_run_is_not_removed_and_takes_no_more(compared: Services) -> None
     assert not removable(compared) & named
     before = jobs.remaining(compared).active, len(jobs.list_jobs(compared))
     with pytest.raises(Conflict, match="takes no more jobs"):
-        submitting.submit(compared, work("wider"))
+        new_jobs.submit(compared, work("wider"))
     assert (jobs.remaining(compared).active, len(jobs.list_jobs(compared))) == before
     with pytest.raises(Conflict, match="already kept"):
         runs.keep(compared, "wider", "")
@@ -215,7 +215,7 @@ def test_what_a_policy_removed_is_said_and_not_subtracted(compared: Services) ->
 def test_what_cannot_be_changes_nothing(desk: Services) -> None:
     for name in ("", "a b", "../up", "-x", "x" * 65):
         with pytest.raises(InvalidInput, match="name of a run"):
-            submitting.submit(desk, work(name))
+            new_jobs.submit(desk, work(name))
     calls: list[Any] = [
         lambda: runs.show(desk, "none"),
         lambda: runs.keep(desk, "none", ""),
@@ -227,9 +227,9 @@ def test_what_cannot_be_changes_nothing(desk: Services) -> None:
             call()
     assert jobs.list_jobs(desk) == []
     assert runs.list_runs(desk) == []
-    submitting.submit(desk, work("some"), dry_run=True)
+    new_jobs.submit(desk, work("some"), dry_run=True)
     assert runs.list_runs(desk) == []
-    submitting.submit(desk, work("some"))
+    new_jobs.submit(desk, work("some"))
     with pytest.raises(Conflict, match="have not ended"):
         runs.keep(desk, "some", "")
     story = runs.show(desk, "some")
@@ -239,7 +239,7 @@ def test_what_cannot_be_changes_nothing(desk: Services) -> None:
 
 def test_several_begin_one_run_together(desk: Services) -> None:
     with ThreadPoolExecutor(4) as pool:
-        done = list(pool.map(lambda _: submitting.submit(desk, work("one")), range(4)))
+        done = list(pool.map(lambda _: new_jobs.submit(desk, work("one")), range(4)))
     (run,) = runs.list_runs(desk)
     assert run.submissions == 4
     assert sum(run.jobs.values()) == sum(len(one.job_ids) for one in done)

@@ -10,8 +10,8 @@ from support.deployments import Deployment
 from support.homes import make_home
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import jobs, queues, submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import jobs, new_jobs, queues
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.jobs.running import lifecycle, recovery
 from sms_jobs.jobs.scheduling import firing
@@ -42,7 +42,7 @@ def last_message(services: Services, job_id: str) -> str:
 
 def test_a_job_and_its_events_name_who_asked(desk: Services) -> None:
     anna, ben = named(desk, "anna"), named(desk, "ben")
-    first, second, *_ = submitting.submit(anna, WORK).job_ids
+    first, second, *_ = new_jobs.submit(anna, WORK).job_ids
     assert jobs.show(desk, first).job.submitted_by == "anna"
     assert {job.submitted_by for job in jobs.list_jobs(desk)} == {"anna"}
     jobs.cancel(ben, [first], None)
@@ -56,7 +56,7 @@ def test_a_job_and_its_events_name_who_asked(desk: Services) -> None:
 
 
 def test_a_running_job_hears_who_stops_it(desk: Services) -> None:
-    submitting.submit(desk, WORK)
+    new_jobs.submit(desk, WORK)
     with desk.catalogue.writing() as session:
         recovery.register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 1, datetime.now(UTC))
         held = lifecycle.claim(session, ["cpu", "io", "acquisition"], "w1", 1, datetime.now(UTC))

@@ -13,8 +13,8 @@ from support.over_http import app_of, listening, served
 from support.servers import PostgresqlServer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.work import submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import new_jobs
+from sms_jobs.app.work.new_jobs import Work
 
 
 @pytest.mark.parametrize("away_s", [3.0, pytest.param(30.0, marks=pytest.mark.long)])
@@ -25,7 +25,7 @@ def test_a_listener_outlives_an_outage_of_the_database(
     make_home(home, environment)
     monkeypatch.setenv("SMS_DATABASE_URL", server.url)
     with bootstrap.services(home, "web") as services:
-        submitting.submit(services, Work("plate", ("simulate",)))
+        new_jobs.submit(services, Work("plate", ("simulate",)))
         with served(app_of(services)) as client, listening(client) as events:
             server.crash()
             time.sleep(away_s)

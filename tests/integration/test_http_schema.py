@@ -15,8 +15,8 @@ from support.over_http import app_of, served
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
-from sms_jobs.app.work import jobs, submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import jobs, new_jobs
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.records.people import Actor, Role
 
@@ -50,7 +50,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[s
     home = tmp_path_factory.mktemp("home")
     make_home(home, {})
     with bootstrap.services(home, "web") as services:
-        submitted = submitting.submit(services, Work("plate", ("simulate", "pipeline")))
+        submitted = new_jobs.submit(services, Work("plate", ("simulate", "pipeline")))
         jobs.cancel(services, [], "plate")  # whoever waits for them does not wait
         there = {"name": "plate", "job": submitted.job_ids[0], "number": "1"}
         with served(app_of(services)) as client:

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaign_matrix
-from sms_jobs.app.work import submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import new_jobs
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue import campaigns
 from sms_jobs.catalogue.tables.files import FileRow, ResultRow
@@ -50,7 +50,7 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
     home = tmp_path_factory.mktemp("matrix") / "home"
     make_home(home, {})
     with bootstrap.services(home, "web") as services:
-        submitting.submit(services, Work("plate", ("simulate", "pipeline")))
+        new_jobs.submit(services, Work("plate", ("simulate", "pipeline")))
         for number, state in enumerate(("S00", "S01"), 1):
             file = stored(services, "reconstruct", f"plate/{state}/C1P1", {"surface": surface()}, number)
             version = all_kinds()["reconstruct"].version - (state == "S00")

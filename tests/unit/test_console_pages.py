@@ -14,8 +14,8 @@ from support.over_http import app_of, served
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
-from sms_jobs.app.work import schedules, submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import new_jobs, schedules
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.records.people import RIGHTS, Role
 from sms_jobs.web.console import PAGE_RULES, subjects
 
@@ -29,7 +29,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     home = tmp_path_factory.mktemp("console") / "home"
     make_home(home, {})
     with bootstrap.services(home) as services:
-        submitting.submit(services, Work("plate", ("simulate", "pipeline")))
+        new_jobs.submit(services, Work("plate", ("simulate", "pipeline")))
     return home
 
 

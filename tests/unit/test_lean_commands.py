@@ -156,7 +156,7 @@ def test_to_list_jobs_needs_nothing_that_submits_or_waits_for_them(home: Path) -
     asked, submitted = "job list", "job submit simulate -c plate --dry-run"
     found = modules(asked, submitted, home=home)
     names = (
-        "app.work.submitting",
+        "app.work.new_jobs",
         "app.work.waiting",
         "jobs.planning.graph",
         "jobs.planning.estimates",

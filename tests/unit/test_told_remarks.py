@@ -13,8 +13,8 @@ from support.serving import serving
 import sms_jobs
 from sms_jobs import bootstrap
 from sms_jobs.app.measuring.recordings import Recorded
-from sms_jobs.app.work import submitting
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work import new_jobs
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.cli import acquire, waiting
@@ -25,7 +25,7 @@ from sms_jobs.records.shown.remarks import Remarks
 def test_remarks_come_with_the_answer(home: Path) -> None:
     make_home(home, {})
     with bootstrap.services(home) as services:
-        done = submitting.submit(services, Work("plate", ("simulate", "reconstruct")))
+        done = new_jobs.submit(services, Work("plate", ("simulate", "reconstruct")))
         with services.catalogue.writing() as session:
             session.execute(update(JobRow).values(state=JobState.SUCCEEDED, message="took 1.0 s; seen"))
             dark = JobRow.kind == "reconstruct"

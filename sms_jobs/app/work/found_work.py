@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sms_jobs.app.rules import use_case
-from sms_jobs.app.work import submitting
-from sms_jobs.app.work.submitting import Refusal, Submitted, Work
+from sms_jobs.app.work import new_jobs
+from sms_jobs.app.work.new_jobs import Refusal, Submitted, Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.asking.found_states import states_to_submit
@@ -64,7 +64,7 @@ def submit_found(services: Services, where: str, work: Work, *, dry_run: bool = 
     NotFound
         No state meets the question.
     SmsError
-        What `submitting.submit` raises, where no campaign is left.
+        What `new_jobs.submit` raises, where no campaign is left.
     """
     if work.campaign or work.states:
         raise InvalidInput("states come from the question; leave out the campaign and the states")
@@ -75,7 +75,7 @@ def submit_found(services: Services, where: str, work: Work, *, dry_run: bool = 
     for campaign, states in found.items():
         try:
             own = replace(work, campaign=campaign, states=states)
-            done[campaign] = submitting.submit(services, own, dry_run=dry_run)
+            done[campaign] = new_jobs.submit(services, own, dry_run=dry_run)
         except (InvalidInput, NotFound) as error:
             refused[campaign] = error
     if not done:

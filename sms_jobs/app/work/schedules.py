@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sms_jobs.app.rules import use_case
-from sms_jobs.app.work.submitting import Work
+from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.planning.refusals import check_requests

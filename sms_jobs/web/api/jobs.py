@@ -11,9 +11,9 @@ from anyio import to_thread
 from fastapi import Query
 from pydantic import Field
 
-from sms_jobs.app.work import found_work, jobs, submitting, waiting
+from sms_jobs.app.work import found_work, jobs, new_jobs, waiting
 from sms_jobs.app.work.jobs import Explanation, JobStory, Remaining
-from sms_jobs.app.work.submitting import Refusal, Submitted, Work
+from sms_jobs.app.work.new_jobs import Refusal, Submitted, Work
 from sms_jobs.app.work.waiting import Waiting
 from sms_jobs.bootstrap import Services
 from sms_jobs.errors import WaitTimedOut
@@ -147,10 +147,10 @@ def list_jobs(
     return answer(found)
 
 
-@ROUTES.offer("POST", "/jobs", submitting.submit, answers=SubmittedJobs)
+@ROUTES.offer("POST", "/jobs", new_jobs.submit, answers=SubmittedJobs)
 def submit(services: Acting, body: Submission) -> Any:
     """Submit jobs, or say what would be submitted."""
-    return answer(_told(body.campaign, submitting.submit(services, body.work, dry_run=body.dry_run)))
+    return answer(_told(body.campaign, new_jobs.submit(services, body.work, dry_run=body.dry_run)))
 
 
 @ROUTES.offer("POST", "/jobs/found", found_work.submit_found, answers=SubmittedOfCampaigns)

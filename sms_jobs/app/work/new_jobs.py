@@ -1,4 +1,4 @@
-"""Submitting jobs: what is to be computed, and what comes of asking for it."""
+"""New jobs: what is to be computed, and what comes of asking for it."""
 
 from __future__ import annotations
 
