@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.kinds.documents import Document, DocumentOutput
@@ -28,10 +28,14 @@ from sms_jobs.records.subject import Subject
 
 
 def _parted(value: Any) -> Any:
-    return tuple(dict.fromkeys(n for n in value.split(",") if n)) if isinstance(value, str) else value
+    return [n.strip() for n in value.split(",") if n.strip()] if isinstance(value, str) else value
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_parted)]
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names))
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_parted), AfterValidator(_once)]
 """As "a,b" or one by one."""
 
 
@@ -53,7 +57,7 @@ class PageParameters(Parameters):
         for name in names:
             if name not in known:
                 raise ValueError(f"a report has no extra '{name}'; choose among {', '.join(known)}")
-        return tuple(dict.fromkeys(names))
+        return names
 
 
 PAGE = Document("report", "text/html")
