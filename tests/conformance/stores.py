@@ -88,7 +88,12 @@ class StoreTests:
 
     @pytest.mark.parametrize(
         ("number", "raised"),
-        [(errno.ENOSPC, StorageFull), (errno.EROFS, StorageUnusable), (errno.EIO, StorageUnusable)],
+        [
+            (errno.ENOSPC, StorageFull),
+            (errno.EROFS, StorageUnusable),
+            (errno.EIO, StorageUnusable),
+            (errno.EFBIG, StorageUnusable),
+        ],
     )
     def test_the_fault_of_the_place_is_called_so(
         self, store: Store, number: int, raised: type[Exception]
