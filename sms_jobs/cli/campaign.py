@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from sms_jobs import bootstrap
-from sms_jobs.app.specimens import campaign_matrix, campaigns
+from sms_jobs.app.specimens import campaigns
 from sms_jobs.cli import completion, output, simulated, specimen_frame
 from sms_jobs.cli.options import CampaignArgument
 from sms_jobs.cli.output import Home, Json
@@ -236,6 +236,9 @@ def matrix(
 
     Example: sms campaign matrix wing-fatigue --json
     """
+    # Which loads what jobs and files consist of.
+    from sms_jobs.app.specimens import campaign_matrix
+
     with bootstrap.services(home) as services:
         found = campaign_matrix.matrix(services, name, state or ())
         found = campaign_matrix.in_order(found, campaigns.definition(services, name))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sms_jobs.app.rules import use_case
 from sms_jobs.bootstrap import Services
-from sms_jobs.catalogue import campaigns, valid_calibrations
+from sms_jobs.catalogue import campaigns
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.asking import inquiry, standing
 from sms_jobs.jobs.asking.inquiry import CampaignView
@@ -19,6 +19,7 @@ from sms_jobs.records.people import Right
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
 
+    from sms_jobs.catalogue.valid_calibrations import UsedCalibration
     from sms_jobs.records.campaign import Campaign
 
 
@@ -108,7 +109,8 @@ def add_view(services: Services, name: str, view: str) -> Campaign:
         It is a calibration session, or this is no view; or the rig, its calibration or the scene of the
         virtual rig has no such sensor.
     """
-    # Which load the kinds; nothing else here needs them.
+    # Which load the kinds, and tables of calibrations and plans; nothing else here needs them.
+    from sms_jobs.catalogue import valid_calibrations
     from sms_jobs.jobs.archiving.importing import amend_campaign, with_view
     from sms_jobs.jobs.recording.recordings import recorded_views, refuse_while_recording
 
@@ -129,9 +131,7 @@ def add_view(services: Services, name: str, view: str) -> Campaign:
     return after
 
 
-def _require_sensors(
-    services: Services, campaign: Campaign, view: str, used: valid_calibrations.UsedCalibration | None
-) -> None:
+def _require_sensors(services: Services, campaign: Campaign, view: str, used: UsedCalibration | None) -> None:
     """Raise `InvalidInput` where a sensor of a view is none of the rig, of its scene or its calibration."""
     from sms_jobs.records.views import view_of
 
@@ -243,6 +243,8 @@ def overview(services: Services, name: str) -> CampaignOverview:
 @use_case(Right.READ)
 def show(services: Services, name: str) -> CampaignStory:
     """Return what is known of a campaign; raises `NotFound` where there is none of that name."""
+    from sms_jobs.catalogue import valid_calibrations
+
     with services.catalogue.reading() as session:
         row = campaigns.campaign_row(session, name)
         return CampaignStory(
