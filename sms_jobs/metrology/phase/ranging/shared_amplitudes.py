@@ -97,10 +97,10 @@ def tell_apart(
     -----
     Least squares of z(t) = g(t) sum a_i exp(i omega_i t) with the amplitudes as two further observations, by
     damped Gauss-Newton on either side of the stronger return. It starts from the middle of what was found and
-    from that of a grid of distances at which |z|^2 falls as that of the amplitudes does. The side is told if
-    its likelihood is 10^4 times that of the other; sides that give the same two places are no alternatives.
-    The amplitudes are spoken against where they raise chi-square by as much, and where the signal tells no
-    places with them.
+    from that of a grid of distances at which |z|^2 falls as that of the amplitudes does; on the other side
+    from where the solution is mirrored to. The side is told if its likelihood is 10^4 times that of the
+    other; sides that give the same two places are no alternatives. The amplitudes are spoken against where
+    they raise chi-square by as much, and where the signal tells no places with them.
 
     Raises `InvalidInput` for densities that cannot be ranged.
     """
