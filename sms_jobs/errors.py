@@ -131,6 +131,12 @@ class StorageUnusable(SmsError):
     retryable = True
 
 
+class FileTooLarge(StorageUnusable):
+    """The archive's file system, or a limit of this account, takes no file so large."""
+
+    retryable = False
+
+
 class WaitTimedOut(SmsError):
     """What was waited for did not happen in time; the work goes on."""
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from sms_jobs.archive.layout import NO_JOB, temporary_name
 from sms_jobs.archive.place import says_full, says_too_large, says_unusable
-from sms_jobs.errors import Conflict, InvalidInput, SmsError, StorageFull, StorageUnusable
+from sms_jobs.errors import Conflict, FileTooLarge, InvalidInput, SmsError, StorageFull, StorageUnusable
 
 _READ_ONLY = 0o444
 
@@ -181,7 +181,7 @@ def blaming_the_place(name: str, root: str, folder: str = "") -> Iterator[None]:
                 f"the disk of {root} has no room for {name}; free some space and try again"
             ) from error
         if says_too_large(error):
-            raise StorageUnusable(
+            raise FileTooLarge(
                 f"the disk of {root} takes no file as large as {name}; keep the archive in another file "
                 "system, or raise what this account may write in one file ('ulimit -f')"
             ) from error

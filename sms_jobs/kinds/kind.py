@@ -212,6 +212,11 @@ def no_devices(campaign: Campaign, subject: Subject) -> Iterable[str]:
     return ()
 
 
+def nothing_else(campaign: Campaign, need: Need) -> str:
+    """Advise nothing more than the planner does."""
+    return ""
+
+
 def always(parameters: Parameters) -> bool:
     """Say that a job can be run again whatever its parameters."""
     return True
@@ -266,6 +271,8 @@ class Kind(Generic[P]):
         Whether its jobs run where the instruments of the campaign's rig are connected, and hold that rig.
     adds_states
         Whether its results may be about states that the campaign does not have; it is given them.
+    otherwise
+        What else can be done where a result that it needs is not there, for the error that says so.
     along_frame
         Whether its numbers lie along the axes of the specimen's frame, so that another frame makes its
         results stale.
@@ -290,6 +297,7 @@ class Kind(Generic[P]):
     devices: Callable[[Campaign, Subject], Iterable[str]] = no_devices
     with_instruments: bool = False
     adds_states: bool = False
+    otherwise: Callable[[Campaign, Need], str] = nothing_else
     along_frame: bool = False
 
     def checked_parameters(self, given: Mapping[str, Any]) -> P:

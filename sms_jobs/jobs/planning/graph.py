@@ -368,14 +368,8 @@ def _existing(
                 f"there is none; bring one in with 'sms calibration import FILE --rig {campaign.rig}', or "
                 "certify one that was measured"
             )
-        without = ""
-        state = need.subject.state
-        if "leave_out" in kind.parameters.model_fields and state not in (None, campaign.reference.label):
-            without = f", or leave the state out with leave_out={state}"
-        raise NotFound(
-            f"{who} needs the {need.source} of {need.subject}, and there is none; "
-            f"{_way_to(campaign, need)}{without}"
-        )
+        ways = ", or ".join(filter(None, [_way_to(campaign, need), kind.otherwise(campaign, need)]))
+        raise NotFound(f"{who} needs the {need.source} of {need.subject}, and there is none; {ways}")
     return existing
 
 

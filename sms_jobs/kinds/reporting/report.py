@@ -131,6 +131,11 @@ def _needs_of_shown(campaign: Campaign, subject: Subject, parameters: ReportPara
     return needs(_without(campaign, parameters.leave_out), subject, parameters)
 
 
+def _otherwise(campaign: Campaign, need: Need) -> str:
+    state = need.subject.state
+    return "" if state in (None, campaign.reference.label) else f"leave the state out with leave_out={state}"
+
+
 def whole_campaign(campaign: Campaign, subject: Subject) -> Campaign:
     """Say that the report depends on the whole definition of the campaign."""
     return campaign
@@ -162,4 +167,5 @@ KIND = Kind(
     run=run,
     subjects=subjects,
     context=whole_campaign,
+    otherwise=_otherwise,
 )

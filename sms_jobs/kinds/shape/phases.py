@@ -152,7 +152,9 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
 def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
     """Return what is known before the first slab: of the response roughly where it is not to be corrected."""
     sequence = task.measurement.sequence
-    rows = None if task.parameters.method == UNWRAPPING else rows_that_tell(task.measurement)
+    ranging = task.parameters.method != UNWRAPPING
+    shared = ranging and shares_amplitudes(task.parameters)
+    rows = rows_that_tell(task.measurement) if shared or (ranging and response is None) else None
     sample = response or rough_response(task.subject, task.measurement, task.threads, rows)
     ripples: list[RippleTable] = []
     responses: list[Response | None] = [None] * len(sequence.orientations_rad)
@@ -160,14 +162,12 @@ def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
         ripples = [ripple_table(one, sample.densities, sequence.steps) for one in sample.responses]
         responses = list(sample.responses)
     ranged: list[Floats] = []
-    if rows is not None:
-        ranged = (
-            transfers(task, rows)
-            if response is None
-            else [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
-        )
+    if ranging and response is not None:
+        ranged = [np.array([one.at_density(t)[0] for t in sequence.densities]) for one in response.responses]
+    elif rows is not None:
+        ranged = transfers(task, rows)
     known = Known(ranged, responses, ripples, response is not None, joint_codes(task.measurement))
-    if rows is None or not shares_amplitudes(task.parameters):
+    if rows is None or not shared:
         return known
     spread = amplitude_spread(task, rows, ranged, responses if known.corrected else None)
     return replace(known, amplitude_spread=spread)

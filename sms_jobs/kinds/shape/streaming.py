@@ -73,13 +73,15 @@ class RowSample:
 def some_rows(measurement: Measurement, count: int, beside: int = 1) -> RowSample:
     """Return `count` rows of a measurement, fewer of a low image, in evenly spread groups.
 
-    So many lie `beside` each other and are read at once; of an image of 2^n rows from where a chunk begins.
+    So many lie `beside` each other and are read at once. They begin in the middle of their part of the image,
+    and do not lie about it: of 2^n rows a chunk begins there, and two would be read.
     """
     stack = measurement.frames
     height = stack.shape[1]
     groups = max(min(count, height) // beside, 1)
     starts = [height * (2 * i + 1) // (2 * groups) for i in range(groups)]
-    each = [range(max(min(start, height - beside), 0), min(start + beside, height)) for start in starts]
+    beyond = max(starts[-1] + beside - height, 0)
+    each = [range(max(start - beyond, 0), min(start - beyond + beside, height)) for start in starts]
     frames = np.concatenate([stack.rows(rows.start, rows.stop) for rows in each], axis=1)
     return RowSample(
         np.concatenate([np.array(rows) for rows in each]), in_best_exposure(measurement, frames)[0]

@@ -144,7 +144,7 @@ from pathlib import Path
 import os
 import numpy as np
 from sms_jobs.archive import Archive, FolderStore, Provenance
-from sms_jobs.errors import StorageUnusable
+from sms_jobs.errors import FileTooLarge
 from sms_jobs.records.subject import Subject
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 
@@ -163,8 +163,8 @@ provenance = Provenance("example", 1, Subject("test"), "0123456789abcdef", 2,
                         when, {}, (), "0.1.0", "here", "me")
 try:
     Archive(FolderStore(Path(sys.argv[1]))).seal_dataset({"measurement": record}, provenance)
-except StorageUnusable as error:
-    print(error)
+except FileTooLarge as error:
+    print(error, error.retryable)
 """
 
 
@@ -188,6 +188,7 @@ def test_a_file_that_cannot_be_written_does_not_take_the_process_down(archive: A
     done = write_and_stop(archive, "limit")
     assert done.returncode == 0, done.stderr
     assert f"the disk of {archive.store.root} takes no file as large as example-2026" in done.stdout
+    assert done.stdout.endswith(" False\n")  # the same file is no smaller the next time
     assert files_below(archive) == []
 
 
