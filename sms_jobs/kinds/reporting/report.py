@@ -28,14 +28,14 @@ from sms_jobs.records.subject import Subject
 
 
 def _parted(value: Any) -> Any:
-    return [n.strip() for n in value.split(",") if n.strip()] if isinstance(value, str) else value
+    return value.split(",") if isinstance(value, str) else value
 
 
-def _once(names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(names))
+def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name.strip() for name in names if name.strip()))
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_parted), AfterValidator(_once)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_parted), AfterValidator(_each_once)]
 """As "a,b" or one by one."""
 
 
