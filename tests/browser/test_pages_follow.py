@@ -110,10 +110,14 @@ def test_what_is_refused_says_so_and_keeps_no_page_from_going_on(
     page.click("dialog button[value=yes]")
     page.wait_for("document.querySelector('#schedules .problem')?.textContent.includes('no schedule')")
     page.complaints.clear()  # the browser notes the refusal
-    schedules.set_paused(services, "kept", True)
-    page.wait_for("document.querySelector('#hold-kept').textContent === 'Resume'")
-    assert page.run("document.querySelector('#remove-twice')") is None
-    see(page, "schedules > .problem", "there is no schedule \\'twice\\'")
+    # The first change takes the button away, and those after it leave the refusal where it is.
+    for paused in (True, False, True):
+        schedules.set_paused(services, "kept", paused)
+        page.wait_for(
+            f"document.querySelector('#hold-kept').textContent === '{'Resume' if paused else 'Pause'}'"
+        )
+        assert page.run("document.querySelector('#remove-twice')") is None
+        see(page, "schedules > .problem", "there is no schedule \\'twice\\'")
     # It is over once something else is done.
     page.click("#hold-kept")
     page.wait_for("document.querySelector('#hold-kept').textContent === 'Pause'")

@@ -44,7 +44,7 @@ export function follow(document) {
     const focus = old.contains(document.activeElement) ? document.activeElement.id : "";
     const open = [...old.querySelectorAll("details[open][id]")].map((one) => one.id);
     const scrolled = [...old.querySelectorAll("pre.log")].map((one) => one.scrollTop + one.clientHeight >= one.scrollHeight - 8);
-    const refusals = [...old.querySelectorAll("form[data-action] > .problem:not(:empty), :scope > .refusal")].map((one) => [one, one.parentElement.querySelector("button[id]")?.id]);
+    const refusals = [...old.querySelectorAll("form[data-action] > .problem:not(:empty), :scope > .refusal")].map((one) => [one, one.closest("form")?.querySelector("button[id]")?.id]);
     old.replaceChildren(...made.childNodes);
     for (const [refusal, button] of refusals) stay(refusal, document.getElementById(button)?.closest("form"), old);
     for (const id of open) document.getElementById(id)?.setAttribute("open", "");
