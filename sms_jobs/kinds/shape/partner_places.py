@@ -15,8 +15,10 @@ from sms_jobs.metrology.deformation.fields.displacement import blend_matches
 from sms_jobs.metrology.deformation.matching.camera_matching import TexturedCamera
 from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, Spots
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
+from sms_jobs.metrology.deformation.matching.ray_scatter import scatter_of_places
 from sms_jobs.metrology.deformation.matching.verification import verify_displacement
 from sms_jobs.metrology.geometry.camera import Camera, pixel_maps
+from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.several_cameras import (
     SeenPoints,
     directions_across_rays,
@@ -29,6 +31,10 @@ from sms_jobs.records.reasons import Reason
 
 _OFF_SIGMAS, _OFF_PX = 3.0, 0.05
 """Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
+
+
+_SCATTERED = 2.0
+"""Mean square, in units of the variance, from which places scatter by more than is stated of them."""
 
 
 def asks_for_another_place(bias: Floats, variance: Floats) -> Mask:
@@ -55,6 +61,9 @@ class PartnerPlaces:
         (rows, columns): where there was a place at which the partner shows something else.
     lenses
         By how much the lenses of the reference camera and of the partner blur, variances in px^2.
+    shaken
+        (rows, columns), in px^2: what places scatter by beyond all else that is known of them, as in haze; it
+        is in their variances. None where they do so nowhere.
     """
 
     place: Floats
@@ -62,6 +71,7 @@ class PartnerPlaces:
     noise: Floats
     disagree: Mask
     lenses: Spots
+    shaken: Floats | None
 
 
 def places_of_pixels(
@@ -96,7 +106,14 @@ def places_of_pixels(
     np.copyto(place, np.nan, where=disagree)
     filtered = spots_of(parameters.smoothing_px)
     lenses = images.spots[0] - filtered[0], images.spots[1] - filtered[1]
-    return PartnerPlaces(place, spread.variance + np.fmax(asked, bent), spread.noise, disagree, lenses)
+    variance = spread.variance + np.fmax(asked, bent)
+    times = scatter_of_places(*cameras, place, variance, radius, threads)
+    shaken = None
+    if (times > _SCATTERED).any():
+        more = np.where(times > _SCATTERED, times - 1.0, 0.0)
+        shaken = more * variance.mean(axis=0)
+        variance *= 1.0 + more
+    return PartnerPlaces(place, variance, spread.noise, disagree, lenses, shaken)
 
 
 def _in_partner(variances: Sequence[Floats], place: Floats, lever: int) -> list[Floats]:
@@ -169,6 +186,34 @@ def with_noise(
         own_noise=own.astype(np.float32),
         noise_part=part.astype(np.float32),
     )
+
+
+def with_shaken_rays(surface: Surface, camera: Camera, spread: Sequence[PartnerPlaces]) -> Surface:
+    """Return a surface whose points are as uncertain across the reference camera's rays as images shake.
+
+    Nobody knows which image does, and a point lies on the ray of its pixel. What several partners show alike
+    is the least of what they scatter by.
+    """
+    every = [
+        np.where(np.isfinite(one.place[0]), one.shaken, np.inf) for one in spread if one.shaken is not None
+    ]
+    if len(every) < len(spread):
+        return surface
+    assert surface.covariance is not None
+    assert surface.noise_part is not None
+    shaken = np.min(every, axis=0)
+    some = np.isfinite(surface.position[0]) & (shaken > 0.0) & np.isfinite(shaken)
+    ray = surface.position[:, some] - camera.pose.centre()[:, None]
+    depth = camera.pose.matrix()[2] @ ray
+    ray /= np.linalg.norm(ray, axis=0)
+    square = shaken[some] * depth**2 / (camera.intrinsics.fx * camera.intrinsics.fy)
+    covariance, part = surface.covariance.copy(), surface.noise_part.copy()
+    before = covariance[:, some]
+    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    after = before + np.stack([square * (float(i == j) - ray[i] * ray[j]) for i, j in pairs])
+    covariance[:, some] = after
+    part[some] *= trace(before) / trace(after)
+    return replace(surface, covariance=covariance, noise_part=part)
 
 
 def held_against_the_images(surface: Surface, spread: Sequence[PartnerPlaces]) -> Surface:

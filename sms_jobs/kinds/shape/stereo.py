@@ -58,6 +58,7 @@ from sms_jobs.kinds.shape.partner_places import (
     places_seen,
     points_of_pixels,
     with_noise,
+    with_shaken_rays,
 )
 from sms_jobs.kinds.shape.ray_images import (
     line_width,
@@ -148,6 +149,7 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     surface = _surface(inputs, calibration, field, labels, found, parameters, epipolar, resolution)
     refuse_parted_rays(inputs.view, surface, field.freedom)
     surface = with_noise(surface, field, spread, parameters.shape_order)
+    surface = with_shaken_rays(surface, reference.camera, spread)
     surface = held_against_the_images(surface, spread)
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
@@ -319,7 +321,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=24,
+    version=25,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

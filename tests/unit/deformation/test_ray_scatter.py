@@ -10,7 +10,7 @@ from support.two_cameras import Floats, cameras, curved, seen_by
 
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED, NOT_CONVERGED, Matches
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
-from sms_jobs.metrology.deformation.matching.ray_scatter import stated_by_rays
+from sms_jobs.metrology.deformation.matching.ray_scatter import scatter_of_places, stated_by_rays
 from sms_jobs.metrology.geometry.camera import project
 
 RADIUS, SPACING = 4, 3
@@ -91,6 +91,49 @@ def test_what_is_of_another_surface_is_no_scatter() -> None:
     _, sigma = stated(found)
     # Three second differences of an axis hold each: 3 % of them, of 16 at most in place of 1.
     assert np.sqrt(np.mean(sigma**2)) == pytest.approx(STATED * np.sqrt(1.0 + 0.03 * 15.0), rel=0.05)
+
+
+@pytest.mark.parametrize("times", [2.0, 10.0, 30.0])
+def test_scatter_is_told_however_large_it_is(times: float) -> None:
+    """None of its second differences counts for more than 4 deviations, and yet it is not cut off."""
+    found = matches(lambda x: times * STATED + 0.0 * x, lambda x: 0.0 * x)
+    _, sigma = stated(found)
+    # Of 30 deviations a tenth of some 340 second differences about a node are not cut off: a sixth more or
+    # less of them moves a variance by a third, and the mean of variances by 8 %.
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(times * STATED, rel=0.1)
+
+
+def places(wave_px: float, length: float, noise_px: float = 0.0, trend_px: float = 0.0) -> Floats:
+    """Return how far places scatter, (rows, columns): waves across rays, noise by pixel and a trend."""
+    rig = cameras()
+    points = np.moveaxis(seen_by(rig[0], curved).points, 0, -1)
+    place = np.moveaxis(project(rig[1].intrinsics, rig[1].pose, points), -1, 0).copy()
+    x = np.arange(place.shape[2])
+    place[1] += wave_px * np.sin(2.0 * np.pi * x / length) + trend_px * (x / x[-1]) ** 2
+    place += np.random.default_rng(5).normal(0.0, noise_px, place.shape)
+    return scatter_of_places(*rig, place, np.full_like(place, STATED**2), 2 * RADIUS)
+
+
+def test_places_that_scatter_as_they_say_have_a_mean_square_of_one() -> None:
+    times = places(0.0, 100.0, STATED, trend_px=0.3)
+    # 700 independent second differences of either axis; the trend's are 0.003 px.
+    assert float(np.mean(times)) == pytest.approx(1.0, abs=0.1)
+    assert float(np.max(times)) < 2.0
+
+
+def test_haze_that_spreading_leaves_is_told() -> None:
+    """Waves of 0.1 px, ten deviations, longer than a subset is wide."""
+    length, apart = 90.0, 20.0
+    times = places(0.1, length)
+    bend = 2.0 * (1.0 - np.cos(2.0 * np.pi * apart / length))
+    along, down = 0.5 * (10.0 * bend) ** 2 / 6.0, 0.0  # waves run along x alone
+    assert 0.3 * along < float(np.median(times)) < along + down
+
+
+def test_where_nothing_is_seen_no_scatter_is_told() -> None:
+    rig = cameras()
+    shape = (2, rig[0].rows, rig[0].columns)
+    assert np.isnan(scatter_of_places(*rig, np.full(shape, np.nan), np.ones(shape), RADIUS)).all()
 
 
 def test_few_matches_tell_nothing() -> None:
