@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
 
@@ -87,6 +87,23 @@ def known_view(factor: CalibrationFactor) -> KnownView:
         root[rows] = factor.root[own * number : own * (number + 1)]
     cameras = tuple(Camera(s.intrinsics, s.pose, s.columns, s.rows) for s in factor.sensors)
     return KnownView(cameras, factor.calibration, root, factor.orientations_rad)
+
+
+def moved_since(reference: CalibrationFactor, deformed: CalibrationFactor) -> CalibrationFactor:
+    """Return how well sensors are known at a deformed state, beside the reference state.
+
+    What one calibration is wrong by in both states nearly cancels in a displacement, unless a camera has
+    moved in between. Then it has changed by how much matches miss the images of their rays. Nobody knows what
+    has changed along these images: it is taken to be as many deviations of the calibration.
+    """
+    if reference.calibration != deformed.calibration:
+        return deformed
+    each = zip(reference.missed, deformed.missed, deformed.stated_px, strict=False)
+    changes = (now.change_px(before) / stated for before, now, stated in each if stated > 0.0)
+    times = reference.times + max(changes, default=0.0)
+    if times <= deformed.times:
+        return deformed
+    return replace(deformed, root=times / deformed.times * deformed.root, times=times)
 
 
 def position_sigma(factor: CalibrationFactor, surface: Surface) -> Singles:

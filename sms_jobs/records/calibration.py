@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.calibration.estimates import Estimated, name_of
+from sms_jobs.metrology.calibration.missed_rays import MissedRays
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
 from sms_jobs.records.quantity import array
 from sms_jobs.records.sensors import Sensor
@@ -108,6 +109,10 @@ class CalibrationFactor:
         Of the fringes; empty for cameras.
     parameters
         Names, in the order of the root: of those that each sensor has.
+    misses
+        Of each partner of a camera, where it was looked at.
+    times
+        How many times as large as the calibration states the root is, since rays contradict it.
     """
 
     view: str
@@ -118,6 +123,9 @@ class CalibrationFactor:
     root: NDArray[np.float64] = array(
         "1", "square root of the covariance of the parameters, in rad, mm and px", ("parameter", "cause")
     )
+    missed: tuple[MissedRays, ...] = ()
+    stated_px: tuple[float, ...] = ()
+    times: float = 1.0
 
 
 @dataclass(frozen=True)

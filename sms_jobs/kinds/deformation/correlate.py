@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from sms_jobs.kinds.calibration_factors import (
     REFERENCE,
     displacement_sigma,
     median_part,
+    moved_since,
     states_from,
 )
 from sms_jobs.kinds.deformation.correlate_parameters import (
@@ -56,7 +56,7 @@ from sms_jobs.kinds.kind import (
 )
 from sms_jobs.kinds.point_matches import match_statistics, summary
 from sms_jobs.kinds.port_names import AT_REST, FRAMES_AT_REST
-from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, PLACES, REGIONS, Product
+from sms_jobs.kinds.products import CALIBRATION_FACTOR, DISPLACEMENT, MATCHES, PLACES, REGIONS
 from sms_jobs.kinds.resolution import resolution_statistics
 from sms_jobs.kinds.shape.textures import spots_of
 from sms_jobs.kinds.surface_ports import state_ports
@@ -71,6 +71,7 @@ from sms_jobs.metrology.deformation.matching.sampling import Nodes, sample_nodes
 from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.images.masks import widened
 from sms_jobs.metrology.images.segmentation import ContinuousRegions
+from sms_jobs.records.calibration import CalibrationFactor
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import DisplacementField, ImageMatches, Region, Regions
 from sms_jobs.records.reasons import Reason
@@ -149,14 +150,15 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     else:
         field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
-    progress(1.0, remarked(told_of_gaps(before.surface, after.surface), beside="looked up the displacement"))
+    told = told_of_gaps(before.surface, after.surface, counted=_moved(factors))
+    progress(1.0, remarked(told, beside="looked up the displacement"))
     yield DatasetOutput(
         inputs.subject,
         {
             DISPLACEMENT: field,
             MATCHES: matches,
             REGIONS: _regions_record(before.regions, whole.regions),
-            **factors,
+            **{CALIBRATION_FACTOR.of(key): factor for key, factor in factors.items()},
         },
         _statistics(field, matches, before) | {"regions_split": float(len(apart.pieces) if apart else 0)},
     )
@@ -164,7 +166,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
 
 def _with_calibration(
     inputs: Inputs, field: DisplacementField, before: TexturedState
-) -> tuple[DisplacementField, dict[Product[Any], object]]:
+) -> tuple[DisplacementField, dict[str, CalibrationFactor]]:
     """Return the displacement with the calibration's part of sigma, and what makes it in both states.
 
     Unchanged where that is not known of both.
@@ -173,11 +175,15 @@ def _with_calibration(
     if not all(inputs.has(port, CALIBRATION_FACTOR) for port in ports.values()):
         return field, {}
     factors = {key: inputs.read(port, CALIBRATION_FACTOR) for key, port in ports.items()}
+    factors[DEFORMED] = moved_since(factors[REFERENCE], factors[DEFORMED])
     states = states_from(factors[REFERENCE], factors[DEFORMED])
     sigma = displacement_sigma(states, before.surface, field)
-    return replace(field, sigma_calibration=sigma), {
-        CALIBRATION_FACTOR.of(key): factor for key, factor in factors.items()
-    }
+    return replace(field, sigma_calibration=sigma), factors
+
+
+def _moved(factors: Mapping[str, CalibrationFactor]) -> bool:
+    """Say whether the calibration's part counts that a camera has moved since the reference state."""
+    return bool(factors) and factors[DEFORMED].times > factors[REFERENCE].times
 
 
 def _come_apart(
@@ -301,7 +307,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=28,
+    version=29,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

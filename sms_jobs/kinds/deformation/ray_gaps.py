@@ -13,11 +13,12 @@ _GROWN = 5.0
 """How much farther they have to miss each other, in deviations of their points, to be told."""
 
 
-def told_of_gaps(at_rest: Surface, later: Surface) -> str:
+def told_of_gaps(at_rest: Surface, later: Surface, *, counted: bool = False) -> str:
     """Return what it means that rays which met at rest miss each other now; empty where they do not.
 
     A calibration that is wrong for both states makes gaps in both, and its errors nearly cancel in the
-    displacement. What has come since does not, and shows in no noise.
+    displacement. What has come since does not, and shows in no noise. `counted` says that the calibration's
+    part of the deviations has grown by it (`moved_since`).
     """
     before, now = _gap(at_rest), _gap(later)
     if before is None or now is None:
@@ -25,10 +26,15 @@ def told_of_gaps(at_rest: Surface, later: Surface) -> str:
     (gap_before, sigma_before), (gap, sigma) = before, now
     if gap <= max(sigma, _GROWN * gap_before * sigma / sigma_before):
         return ""
+    told = (
+        "the calibration's part of the displacement's deviation is larger for it"
+        if counted
+        else "the displacement is off by more than its deviation says"
+    )
     return (
         f"the rays miss each other by {gap:.2g} mm and did by {gap_before:.2g} mm at rest: a sensor has "
-        "moved since, or its images are of another moment, and the displacement is off by more than its "
-        "deviation says; see that the images belong together, or calibrate again"
+        f"moved since, or its images are of another moment, and {told}; see that the images belong together, "
+        "or calibrate again"
     )
 
 

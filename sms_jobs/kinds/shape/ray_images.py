@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration_factors import known_view
 from sms_jobs.metrology.arrays import Floats, Ints32, Mask
+from sms_jobs.metrology.calibration.missed_rays import MissedRays, missed_rays
 from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
 from sms_jobs.metrology.deformation.matching.epipolar_search import Width
 from sms_jobs.metrology.deformation.matching.grid import GridMatches
+from sms_jobs.metrology.deformation.matching.ray_scatter import matches_off_rays
 from sms_jobs.metrology.geometry.camera import Camera
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
 from sms_jobs.metrology.images.coarse_maps import sample_blocks
@@ -26,6 +29,8 @@ _LINE_SIGMAS = 6.0
 """How far off the image of a ray to look, in standard deviations that the calibration states."""
 _LINE_PX = 3.0
 """The same where it states none."""
+_FAR_PX = 0.1
+"""Rms distance from the images of rays that a usual calibration does not leave."""
 _SWAPPED = 5.0
 """How much better cameras the other way round have to explain the matches to be believed."""
 _MOST_PARTED = 0.5
@@ -43,12 +48,58 @@ def line_width(factor: CalibrationFactor | None, partner: int, given_px: float |
     return lambda points: _LINE_SIGMAS * line_sigma_px(view, partner, points)
 
 
-def stated_of_lines(factor: CalibrationFactor, surface: Surface) -> dict[str, float]:
-    """Return how far off the images of their rays the calibration lets points be seen, for people."""
+def told_by_rays(
+    factor: CalibrationFactor,
+    surface: Surface,
+    statistics: dict[str, float],
+    missed: Sequence[MissedRays | None],
+) -> CalibrationFactor:
+    """Return how well sensors are known, by what matches miss the images of their rays by, too.
+
+    Parameters
+    ----------
+    factor
+        As the calibration states it.
+    surface
+        The points.
+    statistics
+        With `epipolar_rms_px`; what the calibration lets that be is added, for people.
+    missed
+        By each partner.
+
+    Notes
+    -----
+    Where matches miss by far more than is stated, nothing is seen all the same of what moves points along
+    these images. Whatever has turned the cameras since has hardly turned them about one axis alone, so that
+    all that the calibration states is taken to be as many times too small (Birge's ratio).
+    """
     rows, columns = sample_blocks(surface.reason == Reason.VALID).pixels
+    if not len(rows):
+        return factor
     points, view = surface.position[:, rows, columns].T, economical(known_view(factor))
-    sigma = [line_sigma_px(view, partner, points) for partner in range(1, len(view.sensors))]
-    return {"epipolar_stated_px": float(np.sqrt(np.mean(np.square(sigma))))} if len(points) else {}
+    stated = tuple(_rms(line_sigma_px(view, partner, points)) for partner in range(1, len(view.sensors)))
+    statistics["epipolar_stated_px"] = _rms(np.array(stated))
+    times = _times_stated(statistics)
+    known = tuple(one for one in missed if one is not None)
+    if len(known) < len(stated):
+        known = ()
+    return replace(factor, root=times * factor.root, missed=known, stated_px=stated, times=times)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _far_off(statistics: Mapping[str, float]) -> bool:
+    """Say whether matches miss the images of their rays by more than noise and the calibration explain."""
+    explained = np.hypot(statistics["epipolar_stated_px"], statistics.get("median_match_sigma_px", 0.0))
+    return bool(statistics["epipolar_rms_px"] > _LINE_SIGMAS * explained)
+
+
+def _times_stated(statistics: Mapping[str, float]) -> float:
+    """Return by how much the calibration states too little, 1 for nothing."""
+    missed, stated = statistics["epipolar_rms_px"], statistics["epipolar_stated_px"]
+    return missed / stated if _far_off(statistics) and stated > 0.0 else 1.0
 
 
 def lines_summary(statistics: Mapping[str, float]) -> str:
@@ -57,12 +108,19 @@ def lines_summary(statistics: Mapping[str, float]) -> str:
     found = f"met the rays, whose images the matches miss by {missed}"
     stated = statistics.get("epipolar_stated_px")
     if stated is None:
-        return f"{found}; the calibration does not say how well it is known"
-    noise = statistics.get("median_match_sigma_px", 0.0)
-    if statistics["epipolar_rms_px"] > _LINE_SIGMAS * float(np.hypot(stated, noise)):
+        noise = statistics.get("median_match_sigma_px", 0.0)
+        unknown = "the calibration does not say how well it is known"
+        if statistics["epipolar_rms_px"] <= max(_LINE_SIGMAS * noise, _FAR_PX):
+            return f"{found}; {unknown}"
+        return remarked(
+            f"the matches miss the images of their rays by {missed}, and {unknown}: points may be off by as "
+            "much in every direction, and no deviation includes that; calibrate the cameras as they stand"
+        )
+    if _far_off(statistics):
         return remarked(
             f"the matches miss the images of their rays by {missed}, and the calibration states {stated:.2g} "
-            "px, far less: the cameras may have moved since, or be swapped, or it is another rig's"
+            "px, far less: the cameras may have moved since, or be swapped, or it is another rig's; its part "
+            f"of all deviations is taken to be {_times_stated(statistics):.2g} times what it states"
         )
     return f"{found}; the calibration states {stated:.2g} px"
 
@@ -84,7 +142,7 @@ def why_nothing(view: View, off_px: float, swapped: tuple[str, float] = ("", np.
         "calibration is not that of these images; the cameras may be swapped, or have moved since"
     )
     partner, other_px = swapped
-    if not off_px > max(_SWAPPED * other_px, 0.1):
+    if not off_px > max(_SWAPPED * other_px, _FAR_PX):
         return told
     return (
         f"{told}. With {view.camera} and {partner} swapped it is {other_px:.2g} px: import the images or the "
@@ -104,7 +162,7 @@ def refuse_far_from_rays(
     swapped = _distance_from_rays([cameras[1], cameras[0], *cameras[2:]], found, threads)
     if not np.isfinite(middle):
         raise MeasurementFailed(_why_none_meet(view, cameras, swapped))
-    if middle > max(_SWAPPED * swapped, 0.1):
+    if middle > max(_SWAPPED * swapped, _FAR_PX):
         raise MeasurementFailed(why_nothing(view, middle, (view.other_cameras[0], swapped)))
     if middle > most_px:
         raise MeasurementFailed(f"{why_nothing(view, middle)}; maximum_epipolar_px allows {most_px:g}")
@@ -126,6 +184,18 @@ def refuse_parted_rays(view: View, surface: Surface, freedom: Ints32) -> None:
             "turned, or its image is of another moment; calibrate again, or import the images with the views "
             "of two cameras each, to see which"
         )
+
+
+def matches_missed(
+    cameras: list[Camera], found: list[GridMatches], each: float, threads: int
+) -> list[MissedRays | None]:
+    """Return by how much each partner's matches miss the images of their rays; `each` as in `missed_rays`."""
+    planes = []
+    for partner, one in zip(cameras[1:], found, strict=True):
+        sigma = np.sqrt(np.mean(one.matches.sigma**2, axis=1))
+        off = sigma * matches_off_rays(cameras[0], partner, one, threads)
+        planes.append(missed_rays(np.stack([one.x, one.y]).astype(np.float64), off, each))
+    return planes
 
 
 def _why_none_meet(view: View, cameras: list[Camera], swapped_px: float) -> str:

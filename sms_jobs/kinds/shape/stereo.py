@@ -63,9 +63,10 @@ from sms_jobs.kinds.shape.partner_places import (
 from sms_jobs.kinds.shape.ray_images import (
     line_width,
     lines_summary,
+    matches_missed,
     refuse_far_from_rays,
     refuse_parted_rays,
-    stated_of_lines,
+    told_by_rays,
     why_nothing,
 )
 from sms_jobs.kinds.shape.stereo_parameters import StereoParameters
@@ -160,7 +161,10 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
         records[PLACES.of(name)] = places_seen(name, places, surface)
     statistics = _statistics(surface, labels, kept, epipolar)
     if factor is not None:
-        statistics |= stated_of_lines(factor, surface)
+        subset = (2 * parameters.subset_radius_px + 1) / parameters.spacing_px
+        sensors = [one.camera for one in seen]
+        misses = matches_missed(sensors, found, max(1.0, subset**2), inputs.threads)
+        factor = told_by_rays(factor, surface, statistics, misses)
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
