@@ -114,20 +114,22 @@ def places(wave_px: float, length: float, noise_px: float = 0.0, trend_px: float
     return scatter_of_places(*rig, place, np.full_like(place, STATED**2), 2 * RADIUS)
 
 
-def test_places_that_scatter_as_they_say_have_a_mean_square_of_one() -> None:
+def test_places_that_scatter_as_they_say_have_mean_squares_of_one() -> None:
     times = places(0.0, 100.0, STATED, trend_px=0.3)
-    # 700 independent second differences of either axis; the trend's are 0.003 px.
-    assert float(np.mean(times)) == pytest.approx(1.0, abs=0.1)
-    assert float(np.max(times)) < 1.6
+    # Means of some 200 second differences, over 30 independent places, scatter by a third, and the largest of
+    # three within a subset is one to two deviations above 1; the trend's differences are 0.02 px at most.
+    assert 0.9 < float(np.mean(times)) < 1.6
+    assert float(np.max(times)) < 2.0
 
 
-def test_haze_that_spreading_leaves_is_told() -> None:
-    """Waves of 0.1 px, ten deviations, longer than a subset is wide."""
-    length, apart = 90.0, 20.0
+@pytest.mark.parametrize("length", [17.0, 30.0, 60.0, 120.0])
+def test_haze_that_spreading_leaves_is_told_whatever_its_length(length: float) -> None:
+    """Waves along the rows of 0.1 px, ten deviations, are 50 times the variance.
+
+    Half of the differences, those along the columns, do not see them, and the others see 2 sin^2 of 4/3.
+    """
     times = places(0.1, length)
-    bend = 2.0 * (1.0 - np.cos(2.0 * np.pi * apart / length))
-    along, down = 0.5 * (10.0 * bend) ** 2 / 6.0, 0.0  # waves run along x alone
-    assert 0.3 * along < float(np.median(times)) < along + down
+    assert 0.2 * 50.0 < float(np.median(times)) < 1.4 * 50.0
 
 
 def test_where_nothing_is_seen_no_scatter_is_told() -> None:

@@ -18,6 +18,7 @@ from sms_jobs.metrology.geometry.several_cameras import meet_rays
 _WIDTHS = 2  # subsets on either side whose scatter is taken
 _CAP = 16.0  # of a squared deviation in units of its variance: what is farther off is no scatter
 _ENOUGH = 0.25  # of the squared deviations that a window could hold
+_DISTANCES = (1.0, 1.5, 3.0)  # between places that are compared, in widths of a subset
 _AHEAD = 1e-3  # part of its distance by which a point is moved along its ray
 
 
@@ -59,7 +60,8 @@ def stated_by_rays(
     row, column = found.y // spacing, found.x // spacing
     lattice = np.full((row.max(initial=0) + 1, column.max(initial=0) + 1), np.nan)
     lattice[row, column] = off
-    square = _mean_squares(lattice, -(-(2 * radius + 1) // spacing))[row, column]
+    subset = -(-(2 * radius + 1) // spacing)
+    square = _mean_squares(lattice, subset, subset)[row, column]
     told = np.maximum(matches.misfit, 1.0)
     times = np.maximum(np.where(np.isfinite(square), square, 1.0), 1.0 / told)
     return replace(
@@ -95,7 +97,7 @@ def matches_off_rays(reference: Camera, partner: Camera, found: GridMatches, thr
 def scatter_of_places(
     reference: Camera, partner: Camera, place: Floats, variance: Floats, radius: int, threads: int = 1
 ) -> Floats:
-    """Return by how much places scatter across the images of their rays, in units of their variance.
+    """Return by how much places scatter across the images of their rays at most, in units of their variance.
 
     Parameters
     ----------
@@ -111,9 +113,14 @@ def scatter_of_places(
 
     Returns
     -------
-    (rows, columns), the mean of squares about each pixel, as `stated_by_rays` takes it; NaN where no places
-    are near. Spreading makes noise less, and leaves what neighbouring matches are off by together, as in
-    haze.
+    (rows, columns): the mean square of second differences about each pixel, as `stated_by_rays` takes it, of
+    places one subset, one and a half and three apart, the largest of them within a subset's width; NaN where
+    no places are seen.
+
+    Notes
+    -----
+    Spreading makes noise less, and leaves what neighbouring matches are off by together, as in haze. Of noise
+    alone the largest is 2 at most.
     """
     step = max(1, radius // 2)
     seen, spread = place[:, ::step, ::step], variance[:, ::step, ::step]
@@ -123,7 +130,12 @@ def scatter_of_places(
     off = _off_rays(
         reference, partner, pixels, seen.reshape(2, -1), np.sqrt(spread).reshape(2, -1), slopes, threads
     )
-    square = _mean_squares(off.reshape(shape), -(-(2 * radius + 1) // step))
+    subset = -(-(2 * radius + 1) // step)
+    # Waves that are as long as a distance show nothing over it, and longer ones less.
+    each = (_mean_squares(off.reshape(shape), round(times * subset), subset) for times in _DISTANCES)
+    square = np.fmax.reduce(list(each))
+    # Along rays nothing is seen, and waves there have their nodes elsewhere.
+    square = ndimage.maximum_filter(square, 2 * subset + 1)
     rows, columns = (np.arange(length) // step for length in place.shape[1:])
     return np.asarray(square[np.ix_(rows, columns)])
 
@@ -153,10 +165,11 @@ def _off_rays(
     return np.asarray(np.sqrt(met.chi_square) * np.sign(along[0] * away[1] - along[1] * away[0]))
 
 
-def _mean_squares(lattice: Floats, apart: int) -> Floats:
+def _mean_squares(lattice: Floats, apart: int, subset: int) -> Floats:
     """Return the mean square about each node of second differences over `apart` nodes, over 6.
 
-    `lattice` (rows, columns) is by how many deviations nodes are off; NaN everywhere where too few are known.
+    `lattice` (rows, columns) is by how many deviations nodes are off, and `subset` how many of them a subset
+    is wide; NaN everywhere where too few are known.
     """
     squares = np.zeros((2, *lattice.shape))
     counts = np.zeros((2, *lattice.shape))
@@ -168,7 +181,7 @@ def _mean_squares(lattice: Floats, apart: int) -> Floats:
         known = np.isfinite(bend)
         np.moveaxis(squares[axis], axis, 0)[apart:-apart] = np.where(known, np.minimum(bend, _CAP), 0.0)
         np.moveaxis(counts[axis], axis, 0)[apart:-apart] = known
-    size = 2 * _WIDTHS * apart + 1
+    size = 2 * _WIDTHS * subset + 1
     total, share = (
         ndimage.uniform_filter(one.sum(axis=0), size, mode="constant") for one in (squares, counts)
     )
