@@ -192,8 +192,7 @@ def matches_missed(
     """Return by how much each partner's matches miss the images of their rays; `each` as in `missed_rays`."""
     planes = []
     for partner, one in zip(cameras[1:], found, strict=True):
-        sigma = np.sqrt(np.mean(one.matches.sigma**2, axis=1))
-        off = sigma * matches_off_rays(cameras[0], partner, one, threads)
+        off, _ = matches_off_rays(cameras[0], partner, one, threads)
         planes.append(missed_rays(np.stack([one.x, one.y]).astype(np.float64), off, each))
     return planes
 

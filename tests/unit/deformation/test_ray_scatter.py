@@ -126,10 +126,27 @@ def test_places_that_scatter_as_they_say_have_mean_squares_of_one() -> None:
 def test_haze_that_spreading_leaves_is_told_whatever_its_length(length: float) -> None:
     """Waves along the rows of 0.1 px, ten deviations, are 50 times the variance.
 
-    Half of the differences, those along the columns, do not see them, and the others see 2 sin^2 of 4/3.
+    Half of the differences, those along the columns, do not see them, and the others hold at most 16 / 6 of
+    their square in the mean: four thirds of 50 all about a pixel, and twice that where a wave is highest.
     """
     times = places(0.1, length)
-    assert 0.2 * 50.0 < float(np.median(times)) < 1.4 * 50.0
+    assert 0.2 * 50.0 < float(np.median(times)) < 8.0 / 3.0 * 50.0 * 1.05
+
+
+def test_what_all_are_off_by_is_no_scatter_whatever_their_deviations() -> None:
+    """A camera has moved by 50 deviations, and these change by four from one side to the other."""
+    rig = cameras()
+    points = np.moveaxis(seen_by(rig[0], curved).points, 0, -1)
+    place = np.moveaxis(project(rig[1].intrinsics, rig[1].pose, points), -1, 0).copy()
+    deviation = np.linspace(STATED, 4.0 * STATED, place.shape[2]) * np.ones(place.shape)
+    place += np.random.default_rng(7).normal(0.0, 1.0, place.shape) * deviation
+    place[1] += 50.0 * STATED
+    assert float(np.max(scatter_of_places(*rig, place, deviation**2, 2 * RADIUS))) < 2.0
+    found = matches(lambda x: STATED + 0.0 * x, lambda x: 50.0 * STATED + 0.0 * x, misfit=100.0)
+    found.matches.sigma[:] *= 1.0 + 3.0 * (found.x / rig[0].columns)[:, None]
+    _, sigma = stated(found)
+    # As if they were not off: scatter is STATED, and deviations are stated a fourth to once as large.
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(STATED, rel=0.1)
 
 
 def test_where_nothing_is_seen_no_scatter_is_told() -> None:

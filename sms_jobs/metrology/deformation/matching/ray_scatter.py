@@ -16,7 +16,8 @@ from sms_jobs.metrology.geometry.camera import Camera, project
 from sms_jobs.metrology.geometry.several_cameras import meet_rays
 
 _WIDTHS = 2  # subsets on either side whose scatter is taken
-_CAP = 16.0  # of a squared deviation in units of its variance: what is farther off is no scatter
+_CAP = 16.0  # of a squared deviation in units of its variance: of few, what is farther off is no scatter
+_MOSTLY = 0.5  # of that the mean may be; more is scatter, and cut off at 16 times as much
 _ENOUGH = 0.25  # of the squared deviations that a window could hold
 _DISTANCES = (1.0, 1.5, 3.0)  # between places that are compared, in widths of a subset
 _AHEAD = 1e-3  # part of its distance by which a point is moved along its ray
@@ -51,15 +52,15 @@ def stated_by_rays(
     surface has. Second differences between subsets that just do not overlap are free of what the calibration
     is wrong by, which changes slowly; their mean square over some subsets on either side is what the stated
     variance is multiplied by, along the ray too, but never to less than noise. Each counts for 16 of them at
-    most, so that a few false matches are not taken for scatter; where most are larger, they are scatter, and
-    the mean square is that of a normal error whose squares, cut off there, have this mean.
+    most, so that a few false matches are not taken for scatter, and the mean square is that of normal errors
+    whose squares, cut off there, have this mean. Where most are larger, they are scatter, and are cut off at
+    16 times as much, and so on.
     """
     matches = _at_the_place(found.matches)
     found = replace(found, matches=matches)
-    off = matches_off_rays(reference, partner, found, threads)
     row, column = found.y // spacing, found.x // spacing
-    lattice = np.full((row.max(initial=0) + 1, column.max(initial=0) + 1), np.nan)
-    lattice[row, column] = off
+    lattice = np.full((2, row.max(initial=0) + 1, column.max(initial=0) + 1), np.nan)
+    lattice[:, row, column] = matches_off_rays(reference, partner, found, threads)
     subset = -(-(2 * radius + 1) // spacing)
     square = _mean_squares(lattice, subset, subset)[row, column]
     told = np.maximum(matches.misfit, 1.0)
@@ -81,7 +82,7 @@ def _at_the_place(matches: Matches) -> Matches:
 
 
 def matches_off_rays(reference: Camera, partner: Camera, found: GridMatches, threads: int = 1) -> Floats:
-    """Return by how many deviations, with a sign, matches (n,) lie off the images of their rays.
+    """Return how far matches lie off the images of their rays, with a sign, and the deviations, (2, n) in px.
 
     NaN for those that have not converged.
     """
@@ -89,8 +90,8 @@ def matches_off_rays(reference: Camera, partner: Camera, found: GridMatches, thr
     pixels = np.stack([found.x[good], found.y[good]]).astype(np.float64)
     warp, sigma = found.matches.warp[good].T, found.matches.sigma[good].T
     slopes = warp[[1, 2, 4, 5]].reshape(2, 2, -1) + np.eye(2)[..., None]
-    off = np.full(len(found.x), np.nan)
-    off[good] = _off_rays(reference, partner, pixels, pixels + warp[[0, 3]], sigma, slopes, threads)
+    off = np.full((2, len(found.x)), np.nan)
+    off[:, good] = _off_rays(reference, partner, pixels, pixels + warp[[0, 3]], sigma, slopes, threads)
     return off
 
 
@@ -132,7 +133,8 @@ def scatter_of_places(
     )
     subset = -(-(2 * radius + 1) // step)
     # Waves that are as long as a distance show nothing over it, and longer ones less.
-    each = (_mean_squares(off.reshape(shape), round(times * subset), subset) for times in _DISTANCES)
+    lattice = off.reshape(2, *shape)
+    each = (_mean_squares(lattice, round(times * subset), subset) for times in _DISTANCES)
     square = np.fmax.reduce(list(each))
     # Along rays nothing is seen, and waves there have their nodes elsewhere.
     square = ndimage.maximum_filter(square, 2 * subset + 1)
@@ -157,47 +159,56 @@ def _off_rays(
     slopes: Floats,
     threads: int,
 ) -> Floats:
-    """Return by how many deviations, with a sign, places (2, n) lie off the images of the rays of pixels."""
+    """Return how far places lie off the images of rays, with a sign, and the deviations, (2, n) in px."""
     met = meet_rays(reference, [partner], pixels, place[None], sigma[None], slopes[None], threads)
     ahead = met.xyz.T + _AHEAD * (met.xyz.T - reference.pose.centre())
     here, there = (project(partner.intrinsics, partner.pose, points).T for points in (met.xyz.T, ahead))
     along, away = there - here, place - here
-    return np.asarray(np.sqrt(met.chi_square) * np.sign(along[0] * away[1] - along[1] * away[0]))
+    distance = (along[0] * away[1] - along[1] * away[0]) / np.hypot(*along)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        deviation = np.abs(distance) / np.sqrt(met.chi_square)
+    usual = np.sqrt(np.mean(sigma**2, axis=0))  # where a place lies on the very line
+    return np.stack([distance, np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, usual)])
 
 
 def _mean_squares(lattice: Floats, apart: int, subset: int) -> Floats:
-    """Return the mean square about each node of second differences over `apart` nodes, over 6.
+    """Return the mean square about each node of second differences over `apart` nodes, in their variances.
 
-    `lattice` (rows, columns) is by how many deviations nodes are off, and `subset` how many of them a subset
-    is wide; NaN everywhere where too few are known.
+    `lattice` (2, rows, columns) is how far nodes are off and their deviations, and `subset` how many nodes a
+    subset is wide. Where deviations change, what all nodes are off by alike is no difference. NaN everywhere
+    where too few are known.
     """
-    squares = np.zeros((2, *lattice.shape))
-    counts = np.zeros((2, *lattice.shape))
+    squares = np.full(lattice.shape, np.nan)
     for axis in range(2):
-        line = np.moveaxis(lattice, axis, 0)
-        if len(line) <= 2 * apart:
-            continue
-        bend = (line[: -2 * apart] - 2.0 * line[apart:-apart] + line[2 * apart :]) ** 2 / 6.0
-        known = np.isfinite(bend)
-        np.moveaxis(squares[axis], axis, 0)[apart:-apart] = np.where(known, np.minimum(bend, _CAP), 0.0)
-        np.moveaxis(counts[axis], axis, 0)[apart:-apart] = known
+        own = np.moveaxis(squares[axis], axis, 0)
+        off, deviation = (np.moveaxis(one, axis, 0) for one in lattice)
+        if len(off) > 2 * apart:
+            bend = off[: -2 * apart] - 2.0 * off[apart:-apart] + off[2 * apart :]
+            variance = deviation**2
+            own[apart:-apart] = bend**2 / (
+                variance[: -2 * apart] + 4.0 * variance[apart:-apart] + variance[2 * apart :]
+            )
     size = 2 * _WIDTHS * subset + 1
-    total, share = (
-        ndimage.uniform_filter(one.sum(axis=0), size, mode="constant") for one in (squares, counts)
-    )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.where(share > _ENOUGH, _not_cut_off(total / share), np.nan)
+    count = np.isfinite(squares).sum(axis=0, dtype=np.float64)
+    share = ndimage.uniform_filter(count, size, mode="constant")
+    cap, mean, cut = _CAP, np.full(share.shape, np.nan), share > _ENOUGH
+    while cut.any():
+        total = ndimage.uniform_filter(np.nansum(np.minimum(squares, cap), axis=0), size, mode="constant")
+        part = total[cut] / share[cut] / cap
+        mean[cut] = cap * _not_cut_off(part)
+        cut[cut] = part > _MOSTLY
+        cap *= _CAP
     known = np.isfinite(mean)
     if not known.any():
-        return np.full(lattice.shape, np.nan)
+        return np.full(share.shape, np.nan)
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(mean[tuple(nearest)])
 
 
 def _not_cut_off(mean: Floats) -> Floats:
-    """Return the mean squares of normal errors whose squares, none counted for more than `_CAP`, have a mean.
+    """Return the mean squares of normal errors whose squares, none counted for more than 1, have a mean.
 
-    E min(t z^2, c) = t (erf(a / sqrt 2) - 2 a phi(a)) + c (1 - erf(a / sqrt 2)), with a^2 = c / t.
+    E min(t z^2, 1) = t (erf(a / sqrt 2) - 2 a phi(a)) + 1 - erf(a / sqrt 2), with a^2 = 1 / t.
     """
     cut_off, whole = _means_cut_off()
     return np.asarray(np.interp(mean, cut_off, whole))
@@ -206,9 +217,8 @@ def _not_cut_off(mean: Floats) -> Floats:
 @cache
 def _means_cut_off() -> tuple[Floats, Floats]:
     """Return means of squares that are cut off, and of the same squares that are not."""
-    whole = np.concatenate([[0.0], np.geomspace(1e-3, 1e6, 1000)])
-    with np.errstate(divide="ignore"):
-        a = np.sqrt(_CAP / whole)
+    whole = np.geomspace(1e-4, 1e3, 1000)
+    a = 1.0 / np.sqrt(whole)
     inside = erf(a / np.sqrt(2.0))
-    inner = np.concatenate([[0.0], (inside - a * np.sqrt(2.0 / np.pi) * np.exp(-0.5 * a**2))[1:]])
-    return whole * inner + _CAP * (1.0 - inside), whole
+    cut_off = whole * (inside - a * np.sqrt(2.0 / np.pi) * np.exp(-0.5 * a**2)) + 1.0 - inside
+    return np.append(0.0, cut_off), np.append(0.0, whole)
