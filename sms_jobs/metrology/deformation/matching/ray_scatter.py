@@ -115,7 +115,7 @@ def scatter_of_places(
     Returns
     -------
     (rows, columns): the mean square of second differences about each pixel, as `stated_by_rays` takes it, of
-    places one subset, one and a half and three apart, the largest of them within a subset's width; NaN where
+    places one subset, one and a half and three apart, the largest of them within one and a half on either side; NaN where
     no places are seen.
 
     Notes
@@ -137,7 +137,7 @@ def scatter_of_places(
     each = (_mean_squares(lattice, round(times * subset), subset) for times in _DISTANCES)
     square = np.fmax.reduce(list(each))
     # Along rays nothing is seen, and waves there have their nodes elsewhere.
-    square = ndimage.maximum_filter(square, 2 * subset + 1)
+    square = ndimage.maximum_filter(square, 3 * subset + 1)
     rows, columns = (np.arange(length) // step for length in place.shape[1:])
     return np.asarray(square[np.ix_(rows, columns)])
 
