@@ -39,6 +39,7 @@ from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import LENS, Intrinsics
 from sms_jobs.metrology.phase.sequences import named_sequence
 from sms_jobs.records import scene as scenes
+from sms_jobs.records.baselines import refuse_one_place
 from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Specimen
 from sms_jobs.records.gray_code import Threshold
 from sms_jobs.records.measurement import FringeSequence
@@ -304,6 +305,8 @@ class CampaignTable(Table):
         """Return the records, checked against each other."""
         scene = self._scene()
         views = self._checked_views(None if scene is None else scene.rig)
+        if scene is not None:
+            self._refuse_one_place(scene.rig, views)
         states = tuple(record for s in self.states for record in s.records())
         if self.session is not None and self.session.stage_poses is not None:
             states += self.session.stage_poses.states(virtual=scene is not None)
@@ -364,6 +367,12 @@ class CampaignTable(Table):
         if self.session is None:
             return rig.views()
         return tuple(dict.fromkeys(str(one) for v in rig.views() for one in view_of(v).recordings))
+
+    def _refuse_one_place(self, rig: Rig, views: tuple[str, ...]) -> None:
+        """Refuse sensors at one point that measure together, also once a session has calibrated them."""
+        pairs = () if self.session is None else (v for v in rig.views() if view_of(v).other_cameras)
+        for view in map(view_of, (*views, *pairs)):
+            refuse_one_place(map(rig.sensor, view.triangulating), "the scene")
 
     def _checked_views(self, rig: Rig | None) -> tuple[str, ...]:
         """Return the views that measure, each once and of sensors that exist."""

@@ -23,6 +23,7 @@ from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.catalogue.valid_calibrations import ValidCalibrations
 from sms_jobs.errors import Conflict, InvalidInput
 from sms_jobs.jobs.archiving.importing import with_view
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.jobs.asking import campaign_matrix
 from sms_jobs.jobs.planning.graph import Request
 from sms_jobs.jobs.planning.submission import submit
@@ -122,6 +123,20 @@ def test_what_cannot_be_seen_is_refused_and_changes_nothing(
     refused = said(deployment, "campaign", "add-view", "plate", "C1P2", code=4)
     assert "or waits for an operator" in refused.stderr
     assert defined(catalogue) == before
+
+
+def test_a_view_of_sensors_at_one_point_is_refused(
+    deployment: Deployment, catalogue: Catalogue, archive: Archive, clock: Clock
+) -> None:
+    calibration, campaign = small_plate("plate")
+    camera, first, second = calibration.rig.sensors
+    rig = replace(calibration.rig, sensors=(camera, first, replace(second, pose=camera.pose)))
+    assert campaign.scene is not None
+    one_place = replace(campaign, views=("C1P1",), scene=replace(campaign.scene, rig=rig))
+    register_campaign(catalogue, archive, one_place, replace(calibration, rig=rig), clock())
+    refused = said(deployment, "campaign", "add-view", "plate", "C1P2", code=2).stderr
+    assert "C1 and P2 stand at one point in the scene of the virtual rig" in refused
+    assert defined(catalogue) == one_place
 
 
 def test_a_recording_that_begins_meanwhile_keeps_the_view_out(

@@ -16,6 +16,7 @@ from sms_jobs.errors import ConfigurationError, NotFound
 from sms_jobs.formats.configuration import (
     CampaignPlan,
     example_campaign,
+    example_session,
     example_stereo,
     load_campaign,
     parse_campaign,
@@ -322,7 +323,8 @@ def stereo(old: str, new: str) -> CampaignPlan:
     return parse_campaign(text.replace(old, new), "panel.toml")
 
 
-THIRD = example_stereo().rpartition("[[scene.sensors]]")[2].replace('"C2"', '"C3"')
+SECOND = example_stereo().rpartition("[[scene.sensors]]")[2]
+THIRD = SECOND.replace('"C2"', '"C3"').replace("[86.8, 10.0, 492.4]", "[0.0, 100.0, 492.4]")
 
 
 def test_the_stereo_example_is_measured_in_the_volume_by_two_cameras_and_no_projector() -> None:
@@ -363,6 +365,30 @@ def test_cameras_without_a_projector_measure_by_pairs_unless_some_are_named() ->
     assert parse_campaign(lone.replace('["C1C2"]', '["C1"]'), "panel.toml").campaign.views == ("C1",)
     with pytest.raises(ConfigurationError, match="or two cameras"):
         parse_campaign(lone.replace('views = ["C1C2"]', ""), "panel.toml")
+
+
+def test_sensors_at_one_point_that_would_measure_together_are_refused() -> None:
+    camera, projector = "position_mm = [-350.0, 60.0, 1000.0]", "position_mm = [0.0, -40.0, 1000.0]"
+    with pytest.raises(ConfigurationError, match=r"C1 and P1 stand at one point in the scene, 0 mm apart"):
+        changed(projector, camera)
+    with pytest.raises(ConfigurationError, match=r"1e-07 mm apart \(at least 0.001 mm are needed\)"):
+        changed(projector, camera.replace("1000.0", "1000.0000001"))
+    assert changed(projector, camera.replace("1000.0", "1000.002")).calibration is not None
+    # Two cameras at one point measure well, each with the projector.
+    assert changed("[350.0, 60.0, 1000.0]", "[-350.0, 60.0, 1000.0]").campaign.views == ("C1P1", "C2P1")
+    with pytest.raises(ConfigurationError, match="C1 and C2 stand at one point in the scene"):
+        stereo("[86.8, 10.0, 492.4]", "[-86.8, -10.0, 492.4]")
+    in_one_place = example_stereo().replace("[86.8, 10.0, 492.4]", "[-86.8, -10.0, 492.4]")
+    alone = parse_campaign(in_one_place.replace('["C1C2"]', '["C1", "C2"]'), "panel.toml")
+    assert alone.campaign.cameras_alone == ("C1", "C2")
+
+
+def test_cameras_at_one_point_are_no_pair_that_a_session_could_calibrate() -> None:
+    head, *sensors = example_session().split("[[scene.sensors]]")
+    cameras = [head, sensors[0], sensors[0].replace("C1", "C2")]
+    text = "[[scene.sensors]]".join(cameras)
+    with pytest.raises(ConfigurationError, match="C1 and C2 stand at one point in the scene"):
+        parse_campaign(text, "session.toml")
 
 
 def test_a_lamp_stands_in_the_middle_unless_it_is_placed() -> None:

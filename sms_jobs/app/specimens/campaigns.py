@@ -132,7 +132,11 @@ def add_view(services: Services, name: str, view: str) -> Campaign:
 
 
 def _require_sensors(services: Services, campaign: Campaign, view: str, used: UsedCalibration | None) -> None:
-    """Raise `InvalidInput` where a sensor of a view is none of the rig, of its scene or its calibration."""
+    """Raise `InvalidInput` where a sensor of a view is none of the rig, of its scene or its calibration.
+
+    Also where two that would measure together stand at one point of the scene.
+    """
+    from sms_jobs.records.baselines import refuse_one_place
     from sms_jobs.records.views import view_of
 
     seen = view_of(view)
@@ -159,6 +163,8 @@ def _require_sensors(services: Services, campaign: Campaign, view: str, used: Us
                 f"{what} has no {' and no '.join(lacking)}, and so no view {view}; it has "
                 f"{', '.join(sensors)}"
             )
+    if campaign.scene is not None:
+        refuse_one_place(map(campaign.scene.rig.sensor, seen.triangulating), "the scene of the virtual rig")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC
-from itertools import combinations
 from math import isfinite
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from sms_jobs.metrology.geometry.camera import Camera, Pose
 from sms_jobs.metrology.geometry.common_view import common_field
 from sms_jobs.metrology.geometry.lens import undistort
 from sms_jobs.metrology.geometry.lens_field import fold_px
+from sms_jobs.records.baselines import refuse_one_place
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.subject import checked_name
 from sms_jobs.records.supplements import Supplement
@@ -37,8 +37,6 @@ _MOST_ASIDE = 0.1
 """Of a side of a camera's image, from its middle to the principal point: beyond it the size is doubted."""
 _MOST_ASPECT = 1.2
 """Between the focal lengths of a camera: its pixels are squares as a rule."""
-_LEAST_APART_MM = 1e-3
-"""Between the pin-holes of two sensors; those that are nearer are taken for one."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
     if volume is not None:
         _check_volume(volume)
     sensors = _sensors(found, given, sources)
-    _refuse_one_place(sensors, sources)
+    refuse_one_place(sensors, sources)
     remarks = [*found.remarks, *_folds(sensors, sources), *_of_other_images(sensors)]
     if not found.in_millimetres and given.millimetres_per_unit == 1.0:
         remarks += _assumed_unit(sensors, sources)
@@ -190,17 +188,6 @@ def _of_other_images(sensors: tuple[Sensor, ...]) -> list[str]:
                 "that are no squares: was an image binned along one side, or a number mistyped?"
             )
     return remarks
-
-
-def _refuse_one_place(sensors: tuple[Sensor, ...], sources: str) -> None:
-    """Raise `ConfigurationError` where two sensors stand at one point, whose rays tell no distances."""
-    for one, other in combinations(sensors, 2):
-        apart_mm = float(np.linalg.norm(one.pose.centre() - other.pose.centre()))
-        if apart_mm < _LEAST_APART_MM:
-            raise ConfigurationError(
-                f"{one.name} and {other.name} stand at one point in {sources}, {apart_mm:.1g} mm apart: no "
-                "shape can be measured with them; is their translation missing?"
-            )
 
 
 def _assumed_unit(sensors: tuple[Sensor, ...], sources: str) -> list[str]:
