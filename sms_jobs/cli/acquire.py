@@ -210,7 +210,7 @@ class _Followed:
                 [(v.subject, *_words(v.statistics)) for v in recorded.verdicts],
                 empty="nothing was recorded",
             )
-            waiting.tell_remarks(recorded.waited)
+            waiting.tell_remarks(recorded.waited.remarks)
         return not recorded.waited.failures
 
     def end(self) -> None:
@@ -219,8 +219,8 @@ class _Followed:
         if self._as_json:
             recorded = [verdict for turn in self._turns for verdict in turn.verdicts]
             remarks = [one for turn in self._turns for one in turn.waited.remarks]
-            told = {"remarks": remarks} if remarks else {}
-            output.print_json({"jobs": dict(counted), "recorded": recorded} | told)
+            told = {"jobs": dict(counted), "recorded": recorded}
+            output.print_json(told | waiting.remarks_as_json(remarks))
         failed = sum(turn.waited.failures for turn in self._turns)
         if failed:
             why = self._turns[-1].waited.failure

@@ -19,7 +19,7 @@ from sms_jobs.app.work import kernels
 from sms_jobs.app.work.waiting import Waiting
 from sms_jobs.cli import output
 from sms_jobs.cli.output import Json
-from sms_jobs.cli.waiting import followed
+from sms_jobs.cli.waiting import followed, remarks_as_json, tell_remarks
 from sms_jobs.errors import SmsError
 from sms_jobs.records.sizes import number_of
 
@@ -58,11 +58,12 @@ def demo(
                 else now
             )
 
-        summary = demo_.run(services, size.value, say=_unsaid if as_json else output.say, tell=tell)
+        summary, remarks = demo_.run(services, size.value, say=_unsaid if as_json else output.say, tell=tell)
     if as_json:
-        output.print_json(summary)
+        output.print_json(summary | remarks_as_json(remarks))
     else:
         _print_summary(summary)
+        tell_remarks(remarks)
 
 
 def _unsaid(text: str) -> None:

@@ -5,7 +5,7 @@ What only some of its commands need is imported there: of all commands, `sms job
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -18,7 +18,7 @@ from sms_jobs.cli.kind_options import CONTEXT, KindCommand, given_parameters, sp
 from sms_jobs.cli.options import CampaignOption, JobId, NoCache, Priority
 from sms_jobs.cli.output import Home, Json
 from sms_jobs.cli.waiting import as_json as outlook_as_json
-from sms_jobs.cli.waiting import estimate_text, followed, outlook_text, tell_remarks
+from sms_jobs.cli.waiting import estimate_text, followed, outlook_text, remarks_as_json, tell_remarks
 from sms_jobs.errors import InvalidInput
 from sms_jobs.records.job import SHORT_ID, JobState
 from sms_jobs.records.sizes import number_of, size
@@ -324,7 +324,7 @@ def watch(
 ) -> None:
     """Follow jobs, all active ones if none is named, until they have ended: how fast, and how long it takes.
 
-    With --json, one object a change.
+    With --json, one object a change, and at last one of how they ended, as of 'sms job wait'.
 
     Example: sms job watch -c wing-fatigue
     """
@@ -344,9 +344,7 @@ def watch(
                 counted_before = now.counted
 
             waited = wait_for(services, some, tell=tell)
-    if not as_json:
-        output.print_sentence(", ".join(f"{n} {s}" for s, n in waited.counted.items()) or _NONE_ACTIVE)
-        tell_remarks(waited)
+    _tell_ended(waited, as_json, output.print_sentence)
 
 
 @app.command()
@@ -419,19 +417,22 @@ def explain(job: JobId, home: Home = None, as_json: Json = False) -> None:
 
 def _tell_waited(waited: Waited, as_json: bool) -> None:
     """Print how jobs ended; raise `JobFailed` where one did not succeed."""
+    _tell_ended(waited, as_json, output.say)
+    waited.require_success()
+
+
+def _tell_ended(waited: Waited, as_json: bool, tell: Callable[[str], None]) -> None:
+    """Print how jobs ended, with what they remark about their data."""
     empty = waited.empty
     if as_json:
         nothing = {"nothing_valid": {"jobs": empty.count, "latest": empty.latest}} if empty.count else {}
-        told = {"remarks": waited.remarks} if waited.remarks else {}
-        output.print_json({"jobs": waited.counted} | nothing | told)
-    else:
-        counted = dict(waited.counted)
-        if empty.count:
-            counted[JobState.SUCCEEDED.value] -= empty.count
-            counted["ended with nothing valid"] = empty.count
-        said = ", ".join(f"{count} {state}" for state, count in counted.items() if count)
-        output.say(said or _NONE_ACTIVE)
-        if empty.count:
-            output.say(empty.latest)
-        tell_remarks(waited)
-    waited.require_success()
+        output.print_json({"jobs": waited.counted} | nothing | remarks_as_json(waited.remarks))
+        return
+    counted = dict(waited.counted)
+    if empty.count:
+        counted[JobState.SUCCEEDED.value] -= empty.count
+        counted["ended with nothing valid"] = empty.count
+    tell(", ".join(f"{count} {state}" for state, count in counted.items() if count) or _NONE_ACTIVE)
+    if empty.count:
+        output.say(empty.latest)
+    tell_remarks(waited.remarks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,9 @@ from sms_jobs.cli.output import clock, duration
 from sms_jobs.records.sizes import number_of
 
 if TYPE_CHECKING:
-    from sms_jobs.app.work.waiting import Waited, Waiting
+    from sms_jobs.app.work.waiting import Waiting
     from sms_jobs.records.shown.estimates import Estimate, Outlook
+    from sms_jobs.records.shown.remarks import Remarks
 
 _NO_WORKER = "no worker is there: start one with 'sms up'"
 _STARTS_WITHIN_S = 10.0
@@ -75,9 +76,9 @@ def _unserved(estimate: Estimate) -> str:
     return queues and f"no worker serves the queue {queues}: start 'sms up', for a rig on its host"
 
 
-def tell_remarks(waited: Waited) -> None:
+def tell_remarks(remarks: Iterable[Remarks]) -> None:
     """Say what jobs remark about their data, the first of each kind, and where the others stand."""
-    for of_kind in waited.remarks:
+    for of_kind in remarks:
         for said in of_kind.first:
             output.say(f"note: {of_kind.kind} {said}")
         if more := of_kind.jobs - len(of_kind.first):
@@ -85,6 +86,11 @@ def tell_remarks(waited: Waited) -> None:
                 f"note: {number_of(more, 'more job')} of {of_kind.kind} remark{'s' if more == 1 else ''} "
                 f"something: see 'sms job list --kind {of_kind.kind}'"
             )
+
+
+def remarks_as_json(remarks: Sequence[Remarks]) -> dict[str, Any]:
+    """Return what jobs remark about their data for programs; nothing where they remark nothing."""
+    return {"remarks": remarks} if remarks else {}
 
 
 def as_json(outlook: Outlook) -> dict[str, Any]:

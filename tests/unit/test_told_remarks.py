@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
+from support.command import inside
 from support.homes import make_home
 from support.serving import serving
 
@@ -17,7 +19,7 @@ from sms_jobs.app.work import new_jobs
 from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.app.work.waiting import Waited
 from sms_jobs.catalogue.tables.jobs import JobRow
-from sms_jobs.cli import acquire, waiting
+from sms_jobs.cli import acquire, demo, waiting
 from sms_jobs.records.job import JobState
 from sms_jobs.records.shown.remarks import Remarks
 
@@ -42,7 +44,7 @@ DARK = Remarks("acquire", 4, tuple(f"plate/S0{number}: it is dark" for number in
 
 
 def test_people_see_the_first_of_a_kind_and_where_the_others_are(capsys: pytest.CaptureFixture[str]) -> None:
-    waiting.tell_remarks(Waited({"succeeded": 4}, remarks=(DARK,)))
+    waiting.tell_remarks([DARK])
     assert capsys.readouterr().err.splitlines() == [
         *(f"note: acquire {one}" for one in DARK.first),
         "note: 1 more job of acquire remarks something: see 'sms job list --kind acquire'",
@@ -53,5 +55,36 @@ def test_programs_see_those_of_recordings(capsys: pytest.CaptureFixture[str]) ->
     followed = acquire._Followed(as_json=True)
     followed._turns.append(Recorded(Waited({"succeeded": 4}, remarks=(DARK,)), ()))
     followed.end()
+    told = json.loads(capsys.readouterr().out)
+    assert told["remarks"] == [{"kind": "acquire", "jobs": 4, "first": list(DARK.first)}]
+
+
+def test_who_watches_jobs_is_told_like_who_waits_for_them(home: Path) -> None:
+    make_home(home, {})
+    with bootstrap.services(home) as services:
+        new_jobs.submit(services, Work("plate", ("simulate",)))
+        with services.catalogue.writing() as session:
+            said = "took 1.0 s; note: it is dark"
+            session.execute(update(JobRow).values(state=JobState.SUCCEEDED, message=said))
+        with services.catalogue.reading() as session:
+            jobs = session.scalars(select(JobRow.id)).all()
+    known = ("job", "watch", *jobs, "--home", str(home))
+    watched = inside(*known)
+    assert watched.stdout == f"{len(jobs)} succeeded\n"
+    assert "note: simulate plate/S00: it is dark\n" in watched.stderr
+    waited = json.loads(inside("job", "wait", *known[2:], "--json").stdout)
+    assert waited["remarks"][0]["jobs"] == len(jobs)
+    assert json.loads(inside(*known, "--json").stdout.splitlines()[-1]) == waited
+
+
+def test_the_demo_tells_what_its_jobs_remark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(demo, "_service", lambda _: nullcontext(lambda: None))
+    monkeypatch.setattr(demo, "_print_summary", lambda _: None)
+    monkeypatch.setattr("sms_jobs.app.home.demo.run", lambda *_, **__: ({"campaign": "plate"}, (DARK,)))
+    demo.demo(out=tmp_path / "demo")
+    assert f"note: acquire {DARK.first[0]}\n" in capsys.readouterr().err
+    demo.demo(out=tmp_path / "demo", as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert told["remarks"] == [{"kind": "acquire", "jobs": 4, "first": list(DARK.first)}]

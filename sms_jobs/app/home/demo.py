@@ -21,9 +21,11 @@ from sms_jobs.jobs.asking import inquiry
 from sms_jobs.jobs.planning import chosen
 from sms_jobs.jobs.planning.graph import PIPELINE, Request
 from sms_jobs.jobs.planning.submission import Terms, submit_to
+from sms_jobs.jobs.running.remarks import remarks
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.people import Right
 from sms_jobs.records.sensors import Calibration
+from sms_jobs.records.shown.remarks import Remarks
 from sms_jobs.records.sizes import number_of
 from sms_jobs.records.statistic_names import ErrorsOf, of_errors
 from sms_jobs.virtual_rig.campaigns import top_hat_bending
@@ -39,7 +41,7 @@ Size: TypeAlias = Literal["small", "full"]
 @use_case(Right.COMPUTE)
 def run(
     services: Services, size: Size, *, say: Callable[[str], None], tell: Callable[[Waiting], None]
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], tuple[Remarks, ...]]:
     """Calibrate a simulated rig and measure a bending test with it, and compare with the exact truth.
 
     A service has to run in the home. Run again, every result is reused.
@@ -53,7 +55,7 @@ def run(
 
     Returns
     -------
-    What came of it, with units in the names.
+    What came of it, with units in the names, and what its jobs remark about their data.
 
     Raises
     ------
@@ -64,7 +66,7 @@ def run(
         calibrations,
     )
 
-    started = time.monotonic()
+    began, started = datetime.now(UTC), time.monotonic()
     session, test = _campaigns(size)
     for campaign in (session, test):
         _register(services, campaign)
@@ -87,7 +89,7 @@ def run(
     known = calibrations.known_calibration(services.catalogue, services.archive, number)
     with services.catalogue.reading() as reading:
         done = Waited(inquiry.counts(reading, all_jobs))
-        return {
+        summary = {
             "campaign": test.name,
             "home": str(services.settings.home),
             "jobs": {
@@ -100,6 +102,7 @@ def run(
             **_accuracy(reading, test.name, calibration),
             **_products(reading, services, test.name),
         }
+        return summary, remarks(reading, all_jobs, began)
 
 
 def _campaigns(size: Size) -> tuple[Campaign, Campaign]:
