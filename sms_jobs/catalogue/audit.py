@@ -99,10 +99,17 @@ def head(session: Session) -> tuple[int, str]:
 
 
 def listed(
-    session: Session, *, who: str | None, action: str | None, since: datetime | None, limit: int
+    session: Session,
+    *,
+    who: str | None,
+    action: str | None,
+    since: datetime | None,
+    limit: int,
+    after: int | None = None,
 ) -> list[Link]:
     """Return links, the newest first: of a person, of a use case or a group of them, from a time on.
 
+    With `after`, they are those behind the link of that number in this order: the older ones.
     Those that seal events, one every few seconds, are left out unless they are asked for by their action.
     """
     query = select(AuditRow).order_by(AuditRow.id.desc()).limit(limit)
@@ -115,6 +122,8 @@ def listed(
         query = query.where(AuditRow.action != SEALING)
     if since is not None:
         query = query.where(AuditRow.at >= since)
+    if after is not None:
+        query = query.where(AuditRow.id < after)
     return [_link_view(row) for row in session.scalars(query)]
 
 

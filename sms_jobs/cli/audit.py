@@ -32,16 +32,21 @@ def list_(
         str | None, typer.Option(help="Only from this time on, with zone, as 2026-05-04T10:00:00+02:00.")
     ] = None,
     limit: Annotated[int, typer.Option(help="At most so many, the newest.", min=1, max=100_000)] = 50,
+    after: Annotated[
+        int | None, typer.Option(help="Only older ones than this number: go on after a list's last.", min=1)
+    ] = None,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
     """Show what was done, the newest first.
 
     Example: sms audit list --who anna --action calibrations
+
+    Example: sms audit list --after 731504
     """
     start = None if since is None else parsed_time(since, "--since")
     with bootstrap.services(home) as services:
-        found = audit.list_links(services, who=who, action=action, since=start, limit=limit)
+        found = audit.list_links(services, who=who, action=action, since=start, limit=limit, after=after)
     if as_json:
         output.print_json_list(found)
         return

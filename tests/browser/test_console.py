@@ -149,6 +149,14 @@ def test_a_campaign_is_computed_looked_at_compared_and_a_calibration_certified(
     assert "its rig" in page.run("document.querySelector('#calibrations').textContent")
     page.visit(f"{site}/audit?action=calibrations.certify")
     assert "held out poses of the bar agree" in page.run("document.querySelector('#links').textContent")
+    page.visit(f"{site}/audit?limit=4")
+    numbers = "[...document.querySelectorAll('#links tbody th')].map(one => Number(one.textContent))"
+    four = page.run(numbers)
+    page.visit(f"{site}/audit?limit=2")
+    page.leave_by("a.button[href*='after=']")
+    assert page.run(numbers) == four[2:]
+    page.leave_by("a.button:not([href*='after='])")
+    assert page.run(numbers)[:4] == four
     assert page.complaints == []
 
     page.leave_by(".who form button")

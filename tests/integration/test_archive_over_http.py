@@ -78,6 +78,19 @@ def test_jobs_are_listed_page_by_page_to_the_first(web: httpx2.Client) -> None:
     refused(web.get("/jobs", params={"after": "none"}), 404, "there is no job 'none'")
 
 
+def test_the_audit_is_listed_page_by_page_to_its_begin(web: httpx2.Client) -> None:
+    for _ in range(2):
+        assert web.post("/queues/pause", json={"names": ["cpu"]}).status_code == 200
+        assert web.post("/queues/resume", json={"names": ["cpu"]}).status_code == 200
+    every = [one["number"] for one in web.get("/audit", params={"limit": 10_000}).json()]
+    seen: list[int] = []
+    while page := web.get("/audit", params={"limit": 3} | ({"after": seen[-1]} if seen else {})).json():
+        seen += [one["number"] for one in page]
+    assert seen == every
+    assert len(every) > 3
+    refused(web.get("/audit", params={"after": 0}), 422, "greater than or equal to 1, not '0'")
+
+
 def test_what_is_not_known_is_named_and_never_passed_over(web: httpx2.Client) -> None:
     refused(
         web.get("/data/states", params={"where": "load > 3 kN"}),

@@ -167,6 +167,10 @@ def test_the_audit_is_listed_and_written(made: Path, tmp_path: Path) -> None:
     assert asked(made, "audit", "list", "--action", "people.add", "--who", ME) == links[2:]
     assert asked(made, "audit", "list", "--since", links[0]["at"]) == [links[0]]
     assert asked(made, "audit", "list", "--who", "anna") == []
+    newest = asked(made, "audit", "list", "--limit", "2")
+    assert newest == links[:2]
+    assert asked(made, "audit", "list", "--limit", "2", "--after", str(newest[-1]["number"])) == links[2:]
+    assert asked(made, "audit", "list", "--after", "1") == []
     lines, table = tmp_path / "audit.jsonl", tmp_path / "audit.csv"
     assert asked(made, "audit", "export", str(lines))["links"] == 4
     assert [json.loads(line) for line in lines.read_text().splitlines()] == links[::-1]

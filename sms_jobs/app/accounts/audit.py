@@ -59,6 +59,7 @@ def list_links(
     action: str | None = None,
     since: datetime | None = None,
     limit: int = 50,
+    after: int | None = None,
 ) -> list[Link]:
     """Return what was done, the newest first.
 
@@ -70,9 +71,11 @@ def list_links(
         Only this use case, as `jobs.cancel`, or all of a group, as `jobs`.
     since
         Only from then on.
+    after
+        Number of the last link that is known already.
     """
     with services.catalogue.reading() as session:
-        return audit.listed(session, who=who, action=action, since=since, limit=limit)
+        return audit.listed(session, who=who, action=action, since=since, limit=limit, after=after)
 
 
 @use_case(Right.ADMINISTER)

@@ -24,6 +24,10 @@ def list_links(
     ] = None,
     since: Annotated[Moment | None, Query(description="With zone; only from then on.")] = None,
     limit: Limit = 50,
+    after: Annotated[
+        int | None, Query(ge=1, le=2**63 - 1, description="Number of the last link that is known already.")
+    ] = None,
 ) -> Any:
-    """Return what was done."""
-    return answer(audit.list_links(services, who=who, action=action, since=since, limit=limit))
+    """Return what was done, the newest first."""
+    found = audit.list_links(services, who=who, action=action, since=since, limit=limit, after=after)
+    return answer(found)

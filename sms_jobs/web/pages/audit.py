@@ -21,14 +21,15 @@ def list_(
     who: str = "",
     action: str = "",
     since: str = "",
+    after: Annotated[int | None, Query(ge=1, le=2**63 - 1)] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 100,
 ) -> HTMLResponse:
-    """List what was done, of somebody, of an action, since a day."""
+    """List what was done, of somebody, of an action, since a day, page by page."""
     links, problem = [], ""
     try:
         begun = datetime.combine(datetime.fromisoformat(since), time(), UTC) if since else None
         links = audit.list_links(
-            page.services, who=who or None, action=action or None, since=begun, limit=limit
+            page.services, who=who or None, action=action or None, since=begun, limit=limit, after=after
         )
     except ValueError:
         problem = f"'{since[:40]}' is no day; write it as 2026-05-04"
@@ -40,5 +41,7 @@ def list_(
         who=who,
         action=action,
         since=since,
+        after=after,
         limit=limit,
+        more=len(links) == limit,
     )
