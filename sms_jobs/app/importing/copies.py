@@ -30,7 +30,8 @@ def remarks_on_copies(good: Sequence[Inspected], before: Iterable[ImportedFile])
             if name in recorded and about.at_highest < 1.0:
                 of = one.found.state, view_of(one.found.view).camera
                 files.setdefault(about.sha256, {}).setdefault(of, name)
-    for known in before:
+    # To know them takes a file of each tuple.
+    for known in before if files else ():
         if known.sha256 in files:
             of = str(known.subject.state), view_of(str(known.subject.view)).camera
             files[known.sha256].setdefault(of, f"{known.name} of {known.subject}, imported before,")

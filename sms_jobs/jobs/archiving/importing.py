@@ -6,7 +6,7 @@ the file, so that a second import finds what is there and changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -112,23 +112,24 @@ class ImportedFile:
     sha256: str
 
 
-def imported_files(catalogue: Catalogue, archive: Archive, campaign: str) -> list[ImportedFile]:
-    """Return the files that the measurements of a campaign were made of, the newest of each tuple alone."""
+def imported_files(catalogue: Catalogue, archive: Archive, campaign: str) -> Iterator[ImportedFile]:
+    """Yield the files that the measurements of a campaign were made of, the newest of each tuple alone.
+
+    What a job recorded was made of none, and is not opened.
+    """
     query = (
-        select(LoadStateRow.label, FileRow.view, FileRow.path)
+        select(LoadStateRow.label, FileRow.view, FileRow.path, FileRow.job_id)
         .join(CampaignRow, CampaignRow.id == FileRow.campaign_id)
         .join(LoadStateRow, LoadStateRow.id == FileRow.state_id)
         .where(FileRow.source == MEASUREMENT, CampaignRow.name == campaign, FileRow.view.is_not(None))
         .order_by(FileRow.id)
     )
     with catalogue.reading() as session:
-        newest = {Subject(campaign, label, view): path for label, view, path in session.execute(query)}
-    found = []
-    for subject, path in newest.items():
-        provenance = archive.provenance(path)
+        newest = {Subject(campaign, row.label, row.view): row for row in session.execute(query)}
+    for subject, row in newest.items():
+        provenance = None if row.job_id else archive.provenance(row.path)
         files = [] if provenance is None else provenance.parameters.get("files", [])
-        found += [ImportedFile(subject, one["name"], one["sha256"]) for one in files]
-    return found
+        yield from (ImportedFile(subject, one["name"], one["sha256"]) for one in files)
 
 
 def import_measurement(

@@ -9,15 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.archives import Clock, registered, run_jobs
 from support.command import inside
 from support.homes import initialised
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
+from sms_jobs.archive import Archive, Provenance
 from sms_jobs.catalogue import campaigns
 from sms_jobs.cli.importing.group import app
 from sms_jobs.errors import InvalidInput, SmsError
 from sms_jobs.formats.importers.image_names import guess_image_pattern
+from sms_jobs.jobs.archiving.importing import imported_files, measured_tuples
+from sms_jobs.jobs.planning.graph import Request
+from sms_jobs.jobs.running.recovery import register_worker
 from sms_jobs.records.measurement import Measurement
 from tests.support.foreign_frames import save
 
@@ -119,6 +124,51 @@ def test_images_of_a_state_that_is_there_already_are_remarked_on(
     given = ("--pattern", "s{state}.png", "--add-states")
     (said,) = (one for one in images(tmp_path / "later", home, *given)["remarks"] if "same" in one)
     assert "s7.png and s2.png of coupon/2/C1, imported before, have the same content" in said
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Files of the archive that were opened for how they came about."""
+    paths: list[str] = []
+    provenance = Archive.provenance
+
+    def seen(archive: Archive, path: str) -> Provenance | None:
+        paths.append(path)
+        return provenance(archive, path)
+
+    monkeypatch.setattr(Archive, "provenance", seen)
+    return paths
+
+
+def test_of_images_that_can_be_no_copies_nobody_asks_what_was_imported(
+    home: Path, tmp_path: Path, levels: np.ndarray, opened: list[str]
+) -> None:
+    save(tmp_path / "test", levels, "s{}.png")
+    told = images(tmp_path / "test", home)
+    opened.clear()
+    given = ("--pattern", "s{state}.png", "--add-states", "--dry-run")
+    save(tmp_path / "later", levels[2:3], "s{}.png", first=7)
+    images(tmp_path / "later", home, *given)
+    assert opened == [one["detail"] for one in told["tuples"]]
+    opened.clear()
+    save(tmp_path / "blank", np.full_like(levels[:1], 40), "s{}.png", first=8)
+    images(tmp_path / "blank", home, *given)
+    assert opened == []
+
+
+def test_what_jobs_recorded_was_made_of_no_files_and_is_not_opened(home: Path, opened: list[str]) -> None:
+    with bootstrap.services(home) as services:
+        known, clock = (services.catalogue, services.archive), Clock()
+        registered(*known, clock)
+        with services.catalogue.writing() as session:
+            register_worker(session, "w1", "here", 1, ["cpu", "io", "acquisition"], 2, clock())
+        run_jobs(*known, clock, [Request("simulate")])
+        with services.catalogue.reading() as session:
+            campaign = campaigns.definition(campaigns.campaign_row(session, "plate"))
+            assert measured_tuples(session, campaign) == {("S00", "C1P1"), ("S01", "C1P1")}
+        opened.clear()
+        assert list(imported_files(*known, "plate")) == []
+    assert opened == []
 
 
 def test_a_campaign_keeps_its_reference_and_its_rig(home: Path, tmp_path: Path, levels: np.ndarray) -> None:
