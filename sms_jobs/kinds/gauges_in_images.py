@@ -25,12 +25,16 @@ from sms_jobs.records.views import view_of
 
 @dataclass(frozen=True)
 class ImageAlone:
-    """The image of a camera alone, in pixels; `mm_per_px` is None where a pixel has no size."""
+    """The image of a camera alone, in pixels; `mm_per_px` is None where a pixel has no size.
+
+    Until its plane is `made`, or is about to be, a pixel may still be given one.
+    """
 
     view: str
     columns: int
     rows: int
     mm_per_px: float | None = None
+    made: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,7 +165,11 @@ def _off(gauge: DescribedGauge, surface: SurfaceThere) -> str | None:
 def _outside(gauge: DescribedGauge, image: ImageAlone) -> str | None:
     """Say how a gauge lies outside of an image; None where nobody knows; `InvalidInput` if larger."""
     if gauge.unit == "mm" and image.mm_per_px is None:
-        return None
+        unscaled = (
+            f"gauge {gauge.name} is in mm, which mean nothing in the image of {image.view}: it has no scale; "
+            "write px behind its lengths, or make the plane anew with the size of a pixel as mm_per_px"
+        )
+        return unscaled if image.made else None
     size = 1.0 if gauge.unit == "px" or image.mm_per_px is None else image.mm_per_px
     right, bottom = size * (image.columns - 1), size * (image.rows - 1)
     place = gauge.place

@@ -156,6 +156,11 @@ def test_a_gauge_outside_of_the_image_is_refused_before_anything_is_queued(
             refused = inside("job", "submit", *kinds, *given)
             assert refused.returncode == USAGE
             assert f"gauge G9 lies outside of the image of C1: {place}; move it into" in refused.stderr
+    # The plane that is to be made has no scale, unless it is given.
+    mm = f"gauges.gauge={GAUGE}; G9 x=3 y=4 length=3"
+    refused = inside("job", "submit", "pipeline", "gauges", "-c", "coupon", "--set", mm, "--home", str(home))
+    assert refused.returncode == USAGE
+    assert "gauge G9 is in mm, which mean nothing in the image of C1: it has no scale" in refused.stderr
     assert run(home, "job", "list", "-c", "coupon") == before
     # Where the image cannot be read now nobody knows, and jobs are queued as ever.
     files = home / "archive" / "coupon"

@@ -106,8 +106,9 @@ def _of_job(
     maker = None if given.producer is None else jobs[given.producer]
     comes = maker is not None or given.existing is None or given.existing.job_id is not None
     source = "" if comes else given.need.source
-    scale = scale_of(campaign) if maker is None else maker.parameters.model_dump().get("mm_per_px")
-    return _sight(session, archive, campaign, source, given.need.subject, scale)
+    own = {} if maker is None else maker.parameters.model_dump()
+    scale, made = own.get("mm_per_px", scale_of(campaign)), "mm_per_px" in own
+    return _sight(session, archive, campaign, source, given.need.subject, scale, made=made)
 
 
 def _sight(
@@ -117,10 +118,12 @@ def _sight(
     source: str,
     at_rest: Subject,
     mm_per_px: float | None,
+    *,
+    made: bool = False,
 ) -> Sight:
     """Return where gauges of a view can be, by its surface of a kind, or by the image of a camera alone.
 
-    `source` is empty where the surface has yet to be made.
+    `source` is empty where the surface has yet to be made; `made` where it is about to be, with that scale.
     """
     from sms_jobs.kinds.gauges_in_images import ImageAlone, surface_there
     from sms_jobs.kinds.products import SURFACE
@@ -131,12 +134,12 @@ def _sight(
         return None if surface is None else surface_there(campaign, surface, sparse=source == _LOOK)
     if surface is not None and source != _LOOK:
         rows, columns = surface.reason.shape
-        return ImageAlone(view, columns, rows, surface.mm_per_px)
+        return ImageAlone(view, columns, rows, surface.mm_per_px, made=True)
     shape = recorded_shape(session, archive, at_rest)
     if shape is None:
         return None
     rows, columns = shape
-    return ImageAlone(view, columns, rows, mm_per_px)
+    return ImageAlone(view, columns, rows, mm_per_px, made)
 
 
 def _read(session: Session, archive: Archive, source: str, subject: Subject, product: Product[R]) -> R | None:

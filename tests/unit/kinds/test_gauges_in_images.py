@@ -105,6 +105,9 @@ def test_a_gauge_that_any_view_may_read_is_none_to_refuse() -> None:
     assert not refused("G x=100 y=30 length=10", None)
     # In mm means nothing before a pixel has a size.
     assert not refused("G x=100 y=30 length=10", IMAGE)
+    assert refused("G x=30 y=20 length=10", replace(IMAGE, made=True))
+    assert not refused("G x=30 y=20 length=10", replace(IMAGE, made=True), None)
+    assert not refused("G x=30px y=20px length=10px", replace(IMAGE, made=True))
     assert not refused("G x=30 y=20 length=10", replace(IMAGE, mm_per_px=0.5))
     assert refused("G x=50 y=20 length=10", replace(IMAGE, mm_per_px=0.5))
 
