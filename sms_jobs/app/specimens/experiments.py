@@ -119,7 +119,7 @@ def exact(
     NotFound
         There is no such campaign.
     InvalidInput
-        It is not on the virtual rig.
+        It is not on the virtual rig, or is a calibration session.
     Conflict
         A file is there.
     """
@@ -127,6 +127,11 @@ def exact(
     from sms_jobs.virtual_rig.exact_meshes import exact_mesh
 
     defined = campaigns.definition(services, campaign)
+    if defined.session is not None:
+        raise InvalidInput(
+            f"{campaign} is a calibration session: an artefact is put before the rig anew in each of its "
+            "states, and is displaced in none; name a campaign of a specimen"
+        )
     writing.new_folder(folder)
     written = []
     for state in defined.states[1:]:

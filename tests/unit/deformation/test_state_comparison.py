@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.homes import make_home, stored
+from support.sessions import small_session
 from typer.testing import CliRunner
 
 from sms_jobs import bootstrap
 from sms_jobs.cli.app import app
 from sms_jobs.errors import Conflict, InvalidInput, NotFound, SmsError
 from sms_jobs.formats.other_fields import read_point_field
+from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.fields import Mesh
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.exact_meshes import exact_mesh
@@ -59,6 +62,15 @@ def test_the_written_mesh_is_the_exact_displacement(home: Path) -> None:
     np.testing.assert_array_equal(field.values, exact.displacement)
     with pytest.raises(Conflict, match=r"S01\.vtu already exists"):
         run(home, "campaign", "exact", "plate", "--out", str(home / "model"))
+
+
+def test_in_a_session_nothing_is_displaced_from_state_to_state(home: Path, tmp_path: Path) -> None:
+    session = small_session("session")
+    with bootstrap.services(home) as services:
+        register_campaign(services.catalogue, services.archive, session, None, datetime.now(UTC))
+    with pytest.raises(InvalidInput, match="session is a calibration session: an artefact is put before"):
+        run(home, "campaign", "exact", "session", "--out", str(tmp_path / "model"))
+    assert not (tmp_path / "model").exists()
 
 
 def test_what_a_measurement_is_off_by_is_told_at_every_state(home: Path) -> None:
