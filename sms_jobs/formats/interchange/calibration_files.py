@@ -131,6 +131,11 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
     if volume is not None:
         _check_volume(volume)
     sensors = _sensors(found, given, sources)
+    if all(sensor.role is Role.PROJECTOR for sensor in sensors):
+        raise InvalidInput(
+            f"{sources} has no camera, but {', '.join(s.name for s in sensors)}: nothing can be measured "
+            "with projectors alone; add a camera, or name one with `camera`"
+        )
     refuse_one_place(sensors, sources)
     remarks = [*found.remarks, *_folds(sensors, sources), *_of_other_images(sensors)]
     if not found.in_millimetres and given.millimetres_per_unit == 1.0:

@@ -333,6 +333,8 @@ def test_a_camera_alone_stands_in_the_world_by_its_r_and_t(tmp_path: Path) -> No
     alone = read_calibration([saved(tmp_path / "left.yml", dict(values))], GIVEN).calibration.rig.sensors[0]
     assert (alone.name, alone.columns, alone.rows) == ("C1", 640, 480)
     np.testing.assert_array_equal(alone.pose.centre(), np.zeros(3))
+    with pytest.raises(InvalidInput, match=r"left\.yml has no camera, but P1: nothing can be measured"):
+        read_calibration([tmp_path / "left.yml"], replace(GIVEN, names=("P1",)))
     vector = cv2.Rodrigues(R)[0]
     placed = read_calibration([saved(tmp_path / "placed.yml", {**values, "R": vector, "T": T})], GIVEN)
     # Rodrigues there and back: a few roundings.
