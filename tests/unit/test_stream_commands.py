@@ -16,6 +16,7 @@ from sms_jobs import bootstrap
 from sms_jobs.app.specimens import campaigns
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.errors import NotFound
 from sms_jobs.jobs.archiving.registration import register_campaign
 from sms_jobs.records.events import typed_event
 from sms_jobs.virtual_rig.campaigns import small_plate
@@ -93,9 +94,30 @@ def test_a_campaign_is_made_whose_reference_is_the_first_frame(services: Service
     assert event == {"channel": "load_n", "unit": "kN", "comes": "above", "limit": 20.0}
 
 
+def test_a_simulated_rig_needs_a_scene_before_a_campaign_is_made(services: Services, tmp_path: Path) -> None:
+    simulated = 'name = "light"\ncameras = [{ name = "C1", driver = "simulated", columns = 64, rows = 64 }]\n'
+    (tmp_path / "light.toml").write_text(simulated)
+    services.stations.add(tmp_path / "light.toml", replace=False)
+    new = ("coupon", "--cameras", "C1", "--rig", "light", "--rate", "10Hz", "--for", "1s")
+    found = refused(services, *new)
+    assert found[0] == USAGE
+    assert "rig light is simulated, and campaign coupon describes no scene" in found[1]
+    assert refused(services, *new, "--dry-run")[0] == FINDINGS
+    with pytest.raises(NotFound, match="coupon"):
+        campaigns.definition(services, "coupon")
+
+
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
+        (
+            USAGE,
+            "'' cannot be the name of a sensor",
+        ),
+        (
+            USAGE,
+            "P1 is a projector, and streams are of",
+        ),
         (
             "coupon --rate 1Hz --for 1s",
             NOT_FOUND,

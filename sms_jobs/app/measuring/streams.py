@@ -125,7 +125,7 @@ def _rehearsed(services: Services, campaign: Campaign, parameters: StreamParamet
     settings = services.settings
     return streams.rehearse(
         services.stations.rig(campaign.rig),
-        campaign.recordings,
+        campaign,
         parameters,
         settings.spool_folder,
         services.archive.room().free_bytes,

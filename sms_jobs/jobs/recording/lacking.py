@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def lacking(rig: RigFile, campaign: Campaign, views: Iterable[str]) -> list[str]:
-    """Say which sensors and channels a rig lacks to record some views, or has with another image."""
+    """Say which sensors, channels or scene a rig lacks to record some views, or has with another image."""
     sensors = [name for view in views for name in view_of(view).sensors]
     limits = KIND.checked_parameters(campaign.processing.get(KIND.name, {})).limits()
     found = rig.lacking(sensors, _planned(rig, campaign))
@@ -23,7 +23,18 @@ def lacking(rig: RigFile, campaign: Campaign, views: Iterable[str]) -> list[str]
         limits.require_channels(rig.name, [c.name for c in rig.serial.channels])
     except InvalidInput as error:
         found.append(str(error))
-    return found
+    return [*found, *lacking_scene(rig, campaign)]
+
+
+def lacking_scene(rig: RigFile, campaign: Campaign) -> list[str]:
+    """Say that a simulated rig has nothing to look at; nothing where it has, or is none."""
+    if campaign.scene is not None or not rig.simulated:
+        return []
+    why = (
+        f"rig {rig.name} is simulated, and campaign {campaign.name} describes no scene that it could see: "
+        "name a campaign whose plan has a [scene], or a rig with real sensors"
+    )
+    return [why]
 
 
 def _planned(rig: RigFile, campaign: Campaign) -> Sequence[ImageFormat]:

@@ -18,6 +18,7 @@ from sms_jobs.instruments.frame_memory import PART_OF_MEMORY
 from sms_jobs.instruments.rehearsal import BYTES_A_PIXEL
 from sms_jobs.jobs.archiving.importing import measured_tuples
 from sms_jobs.jobs.devices.disks import free_bytes
+from sms_jobs.jobs.recording.lacking import lacking_scene
 from sms_jobs.jobs.recording.recordings import PairVerdict
 from sms_jobs.kinds.recording.stream import KIND, StreamParameters, require_exposures
 from sms_jobs.records.shown.streams import StreamedCamera, StreamOutcome, StreamRehearsal
@@ -26,6 +27,7 @@ from sms_jobs.records.streams import stream_of
 from sms_jobs.records.subject import Subject
 
 if TYPE_CHECKING:
+    from sms_jobs.records.campaign import Campaign
     from sms_jobs.records.optical_instruments import RigFile
 
 _ACCOUNT = ("moments", "whole", "late", "lost", "refused")
@@ -43,7 +45,7 @@ def next_number(session: Session, campaign: str) -> int:
 
 def rehearse(
     rig: RigFile,
-    cameras: Sequence[str],
+    campaign: Campaign,
     parameters: StreamParameters,
     spool: Path,
     archive_room: int,
@@ -60,7 +62,7 @@ def rehearse(
     memory_limit_mb
         What a job may take of memory; 0 for no limit.
     """
-    size = parameters.size
+    size, cameras = parameters.size, campaign.recordings
     raw = {c.name: BYTES_A_PIXEL * c.rows * c.columns for c in rig.cameras if c.name in cameras}
     each = sum(raw.values())
     states = -(-size.frames // parameters.every)
@@ -70,7 +72,7 @@ def rehearse(
     # The image of a state lies in its file as texture and as frame.
     needs = size.most_frames * each, (size.frames + states) * each
     found = StreamRehearsal(
-        cameras=tuple(cameras),
+        cameras=cameras,
         frames=size.frames,
         states=states,
         seconds=size.kept_s,
@@ -80,15 +82,16 @@ def rehearse(
         spool_room=free_bytes(spool),
         archived_bytes=needs[1],
         archive_room=archive_room,
-        missing=tuple(_missing(rig, cameras, parameters)),
+        missing=tuple(_missing(rig, campaign, parameters)),
     )
     return _with_lacking_room(found)
 
 
-def _missing(rig: RigFile, cameras: Sequence[str], parameters: StreamParameters) -> Iterator[str]:
-    yield from rig.lacking(cameras, ())
+def _missing(rig: RigFile, campaign: Campaign, parameters: StreamParameters) -> Iterator[str]:
+    yield from rig.lacking(campaign.recordings, ())
+    yield from lacking_scene(rig, campaign)
     try:
-        require_exposures(rig, cameras, parameters)
+        require_exposures(rig, campaign.recordings, parameters)
     except InvalidInput as error:
         yield str(error)
 

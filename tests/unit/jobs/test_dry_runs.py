@@ -61,9 +61,12 @@ def tried(
 
 
 def asking_for(*channels: str) -> Campaign:
-    # Without a scene, whose images are smaller than those of the rig here.
+    # Before a scene without its sensors, whose images are smaller than those of the rig here.
     processing = {"acquire": {"channels": channels, "recordings": 1}}
-    return replace(small_plate("plate")[1], processing=processing, scene=None)
+    plate = small_plate("plate")[1]
+    assert plate.scene is not None
+    scene = replace(plate.scene, rig=replace(plate.scene.rig, sensors=()))
+    return replace(plate, processing=processing, scene=scene)
 
 
 def test_frames_bytes_and_time_follow_from_the_plan(services: Services) -> None:
@@ -107,6 +110,13 @@ def test_what_the_rig_lacks_is_told(services: Services) -> None:
     without = tried(services, small_session("session"), RIG.replace("stages =", "# stages ="))
     assert len(without.missing) == 6
     assert without.missing[0].startswith("S01: rig hall-3 has no stage")
+
+
+def test_a_simulated_rig_lacks_a_scene_where_the_plan_has_none(services: Services) -> None:
+    (scene,) = tried(services, replace(asking_for(), scene=None)).missing
+    assert scene.startswith(
+        "rig hall-3 is simulated, and campaign plate describes no scene that it could see"
+    )
 
 
 def test_simulated_sensors_have_the_images_of_the_scene(services: Services) -> None:
