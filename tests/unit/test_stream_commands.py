@@ -111,10 +111,13 @@ def test_a_simulated_rig_needs_a_scene_before_a_campaign_is_made(services: Servi
     ("words", "code", "told"),
     [
         (
+            "coupon --cameras C1,,C2 --rig pair --rate 1Hz --for 1s",
             USAGE,
             "'' cannot be the name of a sensor",
         ),
+        ("coupon --cameras C1,C1 --rig pair --rate 1Hz --for 1s", USAGE, "--cameras names C1 twice"),
         (
+            "coupon --cameras P1 --rig pair --rate 1Hz --for 1s",
             USAGE,
             "P1 is a projector, and streams are of",
         ),

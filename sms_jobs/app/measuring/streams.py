@@ -170,12 +170,20 @@ def _new(task: Task) -> Campaign:
     from sms_jobs.app.importing.image_views import views_asked_for, views_of_all
     from sms_jobs.records.campaign import Campaign, LoadState, Specimen
     from sms_jobs.records.streams import frame_label
+    from sms_jobs.records.views import Role, role_of
 
     if task.rig is None or not task.cameras:
         raise NotFound(
             f"there is no campaign '{task.campaign}': create it with 'sms campaign create', or give "
             "`cameras` and a `rig` to create it here"
         )
+    for number, name in enumerate(task.cameras):
+        if role_of(name) is not Role.CAMERA:
+            raise InvalidInput(
+                f"{name} is a projector, and streams are of cameras: leave it out of `cameras`"
+            )
+        if name in task.cameras[:number]:
+            raise InvalidInput(f"`cameras` names {name} twice: name each once")
     if task.views is None and len(task.cameras) > 2:
         raise InvalidInput(
             f"{len(task.cameras)} cameras may measure together in many ways: give `views`, such as "
