@@ -11,7 +11,7 @@ from fastapi import FastAPI, HTTPException
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sms_jobs.errors import NotAllowed, SmsError
+from sms_jobs.errors import InvalidInput, NotAllowed, SmsError
 from sms_jobs.web.identity import COOKIE
 from sms_jobs.web.refusals import TooLarge, refusal
 
@@ -101,12 +101,18 @@ class _Protection:
     def _wrong(self, scope: Scope) -> SmsError | None:
         """Return why a request is not worked on; None where it is."""
         headers = Headers(scope=scope)
-        host = urlsplit(f"//{headers.get('host', '')}").hostname or ""
+        try:
+            host = urlsplit(f"//{headers.get('host', '')}").hostname or ""
+            of_this_site = _of_this_site(headers)
+        except ValueError:  # as of [
+            return InvalidInput(
+                "'Host' or 'Origin' of the request is no address; give localhost:8470 and http://localhost:8470"
+            )
         if self._options.hosts and host not in self._options.hosts:
             return NotAllowed(f"nothing is served by the name {host!r:.80}; 'sms serve --host-name' adds one")
         if scope["method"] in _SAFE:
             return None
-        if not _of_this_site(headers):
+        if not of_this_site:
             return NotAllowed(
                 "a page of another site asked for a change, or a program with the session of a browser; "
                 "nothing was changed: programs come in with a token, which 'sms token create' gives"

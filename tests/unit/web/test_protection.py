@@ -71,6 +71,14 @@ def test_another_name_is_refused(client: TestClient) -> None:
     assert "evil.example" in answer.json()["error"]
 
 
+@pytest.mark.parametrize("name", ["Host", "Origin"])
+def test_what_is_no_address_is_refused(client: TestClient, services: bootstrap.Services, name: str) -> None:
+    answer = client.post(PAUSE, json=CPU, headers={name: "http://[" if name == "Origin" else "["})
+    assert answer.status_code == 422
+    assert "no address" in answer.json()["error"]
+    assert paused(services) == []
+
+
 def test_an_endless_body_is_refused(client: TestClient, services: bootstrap.Services) -> None:
     announced = client.post(PAUSE, content=b"{}", headers={"Content-Length": str(1 << 40)})
     assert announced.status_code == 413
