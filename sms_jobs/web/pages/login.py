@@ -74,6 +74,9 @@ def _shown(request: Request, back: str, name: str = "", problem: str = "", statu
 
 def here(address: str) -> str:
     """Return an address of this site; the start in place of any other."""
-    parts = urlsplit(address)
+    try:
+        parts = urlsplit(address)
+    except ValueError:  # as of //[
+        return "/"
     inside = not parts.scheme and not parts.netloc and address.startswith("/") and "\\" not in address
     return address if inside and not address.startswith(("//", LOGIN)) and address.isprintable() else "/"
