@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from datetime import datetime
+from datetime import date
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ _AS_THEY_ARE = frozenset({str, int, bool})
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON holds it: records as objects, times as ISO 8601, what is no number as null."""
+    """Return a value as JSON holds it: records as objects, dates as ISO 8601, what is no number as null."""
     # Most values are these, and lists have thousands of them.
     if value is None or type(value) in _AS_THEY_ARE:
         return value
@@ -28,7 +28,7 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, datetime):
+    if isinstance(value, date):  # or a time, which is one
         return value.isoformat()
     if isinstance(value, Path):
         return str(value)

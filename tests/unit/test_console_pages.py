@@ -194,3 +194,13 @@ def test_a_schedule_of_what_meets_a_question_leads_to_no_campaign_of_that_name(
     assert 'of <a href="/campaigns/plate">plate</a>' in page
     assert "<td>simulate where load_n &gt;= 0</td>" in page
     assert 'href="/campaigns/where' not in page
+
+
+def test_the_calendar_is_told_to_programs(desk: httpx2.Client, home: Path) -> None:
+    at = {"month": "2199-05", "zone": "Europe/London"}
+    with bootstrap.services(home) as services:
+        schedules.add(services, "once", "at 2199-05-04T23:30:00Z", Work("plate", ("simulate",)), zone="UTC")
+    told = desk.get("/api/v1/schedules/calendar", params=at).json()
+    assert [(one["day"], one["first"]) for one in told if one["schedule"] == "once"] == [
+        ("2199-05-05", "2199-05-04T23:30:00+00:00")
+    ]
