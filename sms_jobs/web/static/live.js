@@ -41,22 +41,35 @@ export function follow(document) {
   function replace(old, made) {
     localTimes(made);
     if (old.innerHTML === made.innerHTML || inUse(old)) return;
-    const focus = old.contains(document.activeElement) ? document.activeElement.id : "";
+    const focus = old.contains(document.activeElement) ? nameOf(document.activeElement) : "";
     const open = [...old.querySelectorAll("details[open][id]")].map((one) => one.id);
-    const scrolled = [...old.querySelectorAll("pre.log")].map((one) => one.scrollTop + one.clientHeight >= one.scrollHeight - 8);
+    const typed = [...old.querySelectorAll("input[id], textarea[id]")].filter((one) => one.value !== one.defaultValue);
+    const wide = [...old.querySelectorAll(".wide")].map((one) => one.scrollLeft);
+    // A log that is read to its end stays at its end.
+    const logs = [...old.querySelectorAll("pre.log")].map((one) => (one.scrollTop + one.clientHeight >= one.scrollHeight - 8 ? null : one.scrollTop));
     const refusals = [...old.querySelectorAll("form[data-action] > .problem:not(:empty), :scope > .refusal")].map((one) => [one, one.closest("form")?.querySelector("button[id]")?.id]);
     old.replaceChildren(...made.childNodes);
-    for (const [refusal, button] of refusals) stay(refusal, document.getElementById(button)?.closest("form"), old);
+    // A refusal stays beside its button; where that is gone, it says at the head of the region why nothing was done.
+    const left = [];
+    for (const [refusal, button] of refusals) {
+      const form = document.getElementById(button)?.closest("form");
+      if (form) form.append(refusal);
+      else { refusal.classList.add("refusal"); left.push(refusal); }
+    }
+    old.prepend(...left);
     for (const id of open) document.getElementById(id)?.setAttribute("open", "");
-    old.querySelectorAll("pre.log").forEach((one, place) => { if (scrolled[place] !== false) one.scrollTop = one.scrollHeight; });
-    if (focus) document.getElementById(focus)?.focus();
+    for (const { id, value } of typed) Object.assign(document.getElementById(id) ?? {}, { value });
+    old.querySelectorAll(".wide").forEach((one, place) => { one.scrollLeft = wide[place] ?? 0; });
+    old.querySelectorAll("pre.log").forEach((one, place) => { one.scrollTop = logs[place] ?? one.scrollHeight; });
+    if (focus) old.querySelector(focus)?.focus({ preventScroll: true });
   }
 
-  // A refusal stays beside its button; where that is gone, it says at the head of the region why nothing was done.
-  function stay(refusal, form, region) {
-    if (form) { form.append(refusal); return; }
-    refusal.classList.add("refusal");
-    region.prepend(refusal);
+  // By what something that has the focus is found again once it is made anew.
+  function nameOf(one) {
+    if (one.id) return `#${CSS.escape(one.id)}`;
+    if (one.matches("a[href]")) return `a[href="${CSS.escape(one.getAttribute("href"))}"]`;
+    if (one.matches("details[id] > summary")) return `#${CSS.escape(one.parentElement.id)} > summary`;
+    return one.matches("pre.log") ? "pre.log" : "";
   }
 
   // What somebody is typing into, or is asked about, stays, and what was typed and refused.

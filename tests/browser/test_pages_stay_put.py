@@ -1,0 +1,184 @@
+"""What somebody does on a page stays while others change what it shows, and when it is come back to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sqlalchemy import update
+from support.browser import Browser, browser_or_skip
+from support.homes import make_home
+from support.serving import serving
+
+from sms_jobs import bootstrap
+from sms_jobs.app.work import jobs, new_jobs, schedules
+from sms_jobs.app.work.new_jobs import Work
+from sms_jobs.bootstrap import Services
+from sms_jobs.catalogue.tables.jobs import JobRow
+from sms_jobs.jobs.running.logs import job_log
+from sms_jobs.records.job import JobState
+
+PASSWORD = "correct horse battery"
+SIMULATE = Work("plate", ("simulate",))
+REFUSING = """{ const ask = window.fetch; window.fetch = (address, options) => options?.method
+    ? Promise.resolve(new Response(`{"error": "no, as ${address.split('/').at(-2)} says"}`, {status: 409}))
+    : ask(address, options); }"""
+"""Lets the page be refused all that it asks to be changed."""
+WAITING = """{ const ask = window.fetch; window.asked = 0;
+    const waiting = () => new Promise(done => { window.asked++;
+        window.answer = () => done(new Response('{"error": "full"}', {status: 507})); });
+    window.fetch = (address, options) => options?.method ? waiting() : ask(address, options); }"""
+"""Lets the page wait for an answer, a refusal, until `answer` is called; counts what it asked for."""
+NOTING = """{ const ask = window.fetch; window.fetch = async (address, options) => {
+    const answer = await ask(address, options);
+    if (answer.status === 401) window.refused = address;
+    return answer; }; }"""
+"""Lets the page say what it was refused last because nobody was known."""
+
+
+@pytest.fixture
+def services(home: Path) -> Iterator[Services]:
+    make_home(home, {})
+    with bootstrap.services(home) as services:
+        yield services
+
+
+@pytest.fixture
+def site(services: Services) -> Iterator[str]:
+    with serving(services.settings.home) as address:
+        yield address
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Browser]:
+    with Browser(browser_or_skip(), tmp_path / "profile") as browser:
+        browser.screen(1280, 900)
+        yield browser
+
+
+def watch(page: Browser, address: str) -> None:
+    """Open a page that hears of changes by events alone, and know whether it is loaded again."""
+    page.visit(address)
+    # Nothing is fetched because time has passed.
+    page.run("window.here = true; for (let k = setInterval(() => {}, 1e6); k > 0; k--) clearInterval(k)")
+
+
+def enter(page: Browser) -> None:
+    for kind in ("keyDown", "keyUp"):
+        page.call(
+            "Input.dispatchKeyEvent",
+            type=kind,
+            key="Enter",
+            code="Enter",
+            windowsVirtualKeyCode=13,
+            text="\r" if kind == "keyDown" else "",
+        )
+
+
+def say(page: Browser, answer: str) -> None:
+    page.wait_for("document.querySelector('dialog').open")
+    page.click(f"dialog button[value={answer}]")
+
+
+def go_and_come_back(page: Browser) -> None:
+    """Follow the first link of a page, and press the button of the browser that leads back."""
+    page.leave_by("header a.brand")
+    with page.leaving():
+        page.run("history.back()")
+
+
+def test_what_was_typed_stays_beside_what_happens(page: Browser, site: str, services: Services) -> None:
+    new_jobs.submit(services, Work("plate", ("simulate",), run="night"))
+    watch(page, f"{site}/runs/night")
+    page.write("#reason", "for the paper")
+    page.run("document.activeElement.blur()")
+    jobs.cancel(services, [], "plate")
+    page.wait_for("document.querySelector('#run').textContent.includes('cancelled')")
+    assert page.run("document.querySelector('#reason').value") == "for the paper"
+    page.click("#keep")
+    say(page, "yes")
+    page.wait_for("document.querySelector('#run').textContent.includes(': for the paper')")
+    assert page.run("window.here")
+    assert page.complaints == []
+
+
+def test_what_follows_does_not_scroll_back_to_what_was_pressed(
+    page: Browser, site: str, services: Services
+) -> None:
+    schedules.add(services, "nightly", "every 1h", SIMULATE)
+    watch(page, f"{site}/schedules")
+    page.run("document.querySelector('#hold-nightly').focus()")
+    page.run("window.scrollTo(0, 400)")
+    schedules.set_paused(services, "nightly", True)
+    page.wait_for("document.querySelector('#hold-nightly').textContent === 'Resume'")
+    assert page.run("document.activeElement.id") == "hold-nightly"
+    assert page.run("window.scrollY") == 400
+
+
+def test_a_log_and_a_wide_table_stay_where_they_are_read(
+    page: Browser, site: str, services: Services
+) -> None:
+    (job, *_) = new_jobs.submit(services, SIMULATE).job_ids
+    with services.catalogue.writing() as session:
+        session.execute(update(JobRow).where(JobRow.id == job).values(state=JobState.RUNNING))
+    log = job_log(services.settings.job_log_folder, job)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    log.write_text("\n".join(f"line {k}" for k in range(300)))
+    page.screen(390, 900)
+    page.visit(f"{site}/jobs/{job}")
+    where = (
+        "[...document.querySelectorAll('pre.log, #story .wide')].map(one => [one.scrollTop, one.scrollLeft])"
+    )
+    page.run("document.querySelector('pre.log').focus(); document.querySelector('pre.log').scrollTop = 500")
+    page.run("for (const one of document.querySelectorAll('#story .wide')) one.scrollLeft = 40")
+    before = page.run(where)
+    assert [500, 0] in before
+    assert [0, 40] in before
+    for more in ("first", "second"):
+        with log.open("a") as file:
+            file.write(f"\n{more}")
+        page.wait_for(f"document.querySelector('pre.log').textContent.endsWith('{more}')")
+        assert page.run(where) == before
+        assert page.run("document.activeElement.className") == "log"
+    # Whoever is at its end sees what is written.
+    page.run("document.querySelector('pre.log').scrollTop = 1e6")
+    with log.open("a") as file:
+        file.write("\nmore" * 20)
+    page.wait_for("document.querySelector('pre.log').textContent.endsWith('more')")
+    assert (
+        page.run(
+            "(one => one.scrollHeight - one.clientHeight - one.scrollTop)(document.querySelector('pre.log'))"
+        )
+        < 2
+    )
+
+
+def test_refusals_whose_buttons_are_gone_keep_their_order(
+    page: Browser, site: str, services: Services
+) -> None:
+    names = ("first", "second", "third")
+    for name in names:
+        schedules.add(services, name, "every 1h", SIMULATE)
+    watch(page, f"{site}/schedules")
+    page.run(REFUSING)
+    for name in names:
+        page.click(f"#hold-{name}")
+        page.wait_for(f"document.querySelector('#schedules').textContent.includes('no, as {name} says.')")
+    said = "[...document.querySelectorAll('#schedules > .problem')].map(one => one.textContent)"
+    expected = [f"no, as {name} says." for name in names[:2]]
+    schedules.remove(services, "first")
+    page.wait_for(f"{said}.length === 1")
+    schedules.remove(services, "second")
+    page.wait_for(f"{said}.length === 2")
+    for paused in (True, False):
+        schedules.set_paused(services, "third", paused)
+        page.wait_for(
+            f"document.querySelector('#hold-third').textContent === '{'Resume' if paused else 'Pause'}'"
+        )
+        assert sorted(page.run(said)) == expected
+        first = page.run(said)
+    schedules.set_paused(services, "third", True)
+    page.wait_for("document.querySelector('#hold-third').textContent === 'Resume'")
+    assert page.run(said) == first
+    assert "third" in page.run("document.querySelector('#hold-third').form.textContent")
