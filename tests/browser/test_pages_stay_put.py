@@ -103,6 +103,28 @@ def test_what_was_typed_stays_beside_what_happens(page: Browser, site: str, serv
     assert page.complaints == []
 
 
+def test_the_focus_stays_on_a_link_and_on_what_was_pressed(
+    page: Browser, site: str, services: Services
+) -> None:
+    new_jobs.submit(services, SIMULATE)
+    watch(page, f"{site}/jobs")
+    page.run("document.querySelector('#jobs tr:last-child a').focus()")
+    link = page.run("document.activeElement.pathname")
+    page.run("window.scrollTo(0, 1e6)")
+    jobs.cancel(services, [], "plate")
+    page.wait_for("document.querySelector('#jobs').textContent.includes('cancelled')")
+    assert page.run("document.activeElement.pathname") == link
+
+    schedules.add(services, "nightly", "every 1h", SIMULATE)
+    watch(page, f"{site}/schedules")
+    page.run("document.querySelector('#hold-nightly').focus()")
+    for word in ("Resume", "Pause"):
+        enter(page)
+        page.wait_for(f"document.querySelector('#hold-nightly').textContent === '{word}'")
+        assert page.run("document.activeElement.id") == "hold-nightly"
+    assert page.complaints == []
+
+
 def test_what_follows_does_not_scroll_back_to_what_was_pressed(
     page: Browser, site: str, services: Services
 ) -> None:
@@ -152,6 +174,23 @@ def test_a_log_and_a_wide_table_stay_where_they_are_read(
         )
         < 2
     )
+
+
+@pytest.mark.parametrize("answer", ["no", "yes"])
+def test_what_happened_during_a_question_is_seen_after_it(
+    page: Browser, site: str, services: Services, answer: str
+) -> None:
+    schedules.add(services, "nightly", "every 1h", SIMULATE)
+    watch(page, f"{site}/schedules")
+    page.click("#remove-nightly")
+    page.wait_for("document.querySelector('dialog').open")
+    schedules.remove(services, "nightly")  # in another window
+    # It has heard of it, and asked for the page.
+    page.wait_for("performance.getEntriesByType('resource').some(e => e.name.endsWith('/schedules'))")
+    say(page, answer)
+    page.wait_for("document.querySelector('#remove-nightly') === null", seconds=5)
+    told = page.run("document.querySelector('#schedules > .problem')?.textContent ?? ''")
+    assert ("no schedule" in told) == (answer == "yes")
 
 
 def test_refusals_whose_buttons_are_gone_keep_their_order(

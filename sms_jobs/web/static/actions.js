@@ -56,7 +56,7 @@ async function act(form, submitter) {
   const problem = beside(form, "problem", "alert");
   problem.textContent = "";
   form.closest("[data-live]")?.querySelectorAll(":scope > .refusal").forEach((one) => one.remove());
-  if (words && !(await confirmed(words))) return;
+  if (words && !(await confirmed(words))) { changed(); return; }
   if (submitter) submitter.disabled = true;
   try {
     const told = await ask(form.dataset.method ?? "POST", submitter?.dataset.action ?? form.dataset.action,
@@ -66,16 +66,22 @@ async function act(form, submitter) {
   } catch (error) {
     problem.textContent = `${error.message}.`;
     problem.scrollIntoView({ block: "nearest" });
+    changed();
   } finally {
     if (submitter) submitter.disabled = false;
+    // A button that was pressed by a key has lost the focus meanwhile.
+    if (document.activeElement === document.body) submitter?.focus({ preventScroll: true });
   }
 }
+
+// The page is fetched again: also after a refusal or a question, during which it stays as it is.
+const changed = () => document.dispatchEvent(new CustomEvent("changed"));
 
 function after(form, told, submitter) {
   const then = submitter?.dataset.then ?? form.dataset.then ?? "refresh";
   if (then.startsWith("/")) location.assign(then);
   else if (then === "reload") location.reload();
-  else if (then !== "nothing") document.dispatchEvent(new CustomEvent("changed"));
+  else if (then !== "nothing") changed();
   const words = form.dataset.said;
   if (words) document.getElementById("said").textContent = words;
 }
