@@ -221,3 +221,24 @@ def test_refusals_whose_buttons_are_gone_keep_their_order(
     page.wait_for("document.querySelector('#hold-third').textContent === 'Resume'")
     assert page.run(said) == first
     assert "third" in page.run("document.querySelector('#hold-third').form.textContent")
+
+
+def test_nothing_else_is_asked_of_a_form_while_it_waits_and_what_it_said_is_over(
+    page: Browser, site: str, services: Services
+) -> None:
+    watch(page, f"{site}/campaigns/plate?kind=simulate")
+    page.click("#estimate")
+    page.wait_for("document.querySelector('#submit .outcome').textContent.includes('Would submit 2')")
+    page.run(WAITING)
+    page.click("#estimate")
+    page.wait_for("window.asked === 1")
+    assert page.run("document.querySelector('#submit .outcome').textContent") == ""
+    page.click("#go")
+    page.run("document.querySelector('#which').open = true")
+    page.run("document.querySelector('#run').focus()")
+    enter(page)
+    assert page.run("window.asked") == 1
+    page.run("window.answer()")
+    page.wait_for("document.querySelector('#submit .problem').textContent === 'full.'")
+    page.click("#go")
+    page.wait_for("window.asked === 2")

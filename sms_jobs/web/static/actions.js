@@ -54,10 +54,11 @@ function beside(form, name, role) {
 async function act(form, submitter) {
   const words = submitter?.dataset.confirm ?? form.dataset.confirm;
   const problem = beside(form, "problem", "alert");
-  problem.textContent = "";
+  problem.textContent = document.getElementById("said").textContent = "";
   form.closest("[data-live]")?.querySelectorAll(":scope > .refusal").forEach((one) => one.remove());
   if (words && !(await confirmed(words))) { changed(); return; }
-  if (submitter) submitter.disabled = true;
+  const buttons = [...form.querySelectorAll("button")];
+  for (const one of buttons) one.disabled = true;
   try {
     const told = await ask(form.dataset.method ?? "POST", submitter?.dataset.action ?? form.dataset.action,
       form.dataset.body === "none" ? undefined : bodyOf(form, submitter));
@@ -68,7 +69,7 @@ async function act(form, submitter) {
     problem.scrollIntoView({ block: "nearest" });
     changed();
   } finally {
-    if (submitter) submitter.disabled = false;
+    for (const one of buttons) one.disabled = false;
     // A button that was pressed by a key has lost the focus meanwhile.
     if (document.activeElement === document.body) submitter?.focus({ preventScroll: true });
   }

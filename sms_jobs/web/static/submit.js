@@ -4,6 +4,7 @@ choose?.querySelector("select").addEventListener("change", () => choose.requestS
 
 const time = (seconds) => seconds < 120 ? `${Math.round(seconds)} s` : seconds < 7200 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
 
+form?.addEventListener("submit", () => { form.querySelector(".outcome").textContent = ""; });
 form?.addEventListener("done", (event) => {
   const { told, submitter } = event.detail, dry = submitter?.id === "estimate";
   const counted = Object.entries(told.counted).map(([kind, count]) => `${count} ${kind}`).join(", ");
