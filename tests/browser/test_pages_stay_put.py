@@ -242,3 +242,45 @@ def test_nothing_else_is_asked_of_a_form_while_it_waits_and_what_it_said_is_over
     page.wait_for("document.querySelector('#submit .problem').textContent === 'full.'")
     page.click("#go")
     page.wait_for("window.asked === 2")
+
+
+def test_the_browser_that_goes_back_shows_what_would_be_done(
+    page: Browser, site: str, services: Services
+) -> None:
+    kinds = "document.querySelector('[name=kinds]').value"
+    chosen = "document.querySelector('#kind').selectedOptions[0].value"
+    for path in ("campaigns/plate", "schedules"):
+        page.visit(f"{site}/{path}")
+        with page.leaving():
+            page.run(
+                "{ const kind = document.querySelector('#kind'); kind.value = 'simulate';"
+                " kind.dispatchEvent(new Event('change')); }"
+            )
+        assert (page.run(chosen), page.run(kinds)) == ("simulate", "simulate")
+        with page.leaving():
+            page.run("history.back()")
+        page.wait_for(f"{chosen} === {kinds}", seconds=3)
+        assert page.run(kinds) == "pipeline"
+    page.run(
+        "{ const form = document.querySelector('#form'); form.value = 'every';"
+        " form.dispatchEvent(new Event('change', {bubbles: true})); }"
+    )
+    go_and_come_back(page)
+    page.wait_for("document.querySelector('#when').name === document.querySelector('#form').value", seconds=3)
+
+
+def test_what_the_browser_kept_of_a_form_is_not_folded_away(
+    page: Browser, site: str, services: Services
+) -> None:
+    page.visit(f"{site}/campaigns/plate?kind=correlate")
+    for part in ("which", "parameters"):
+        page.run(f"document.querySelector('#{part}').open = true")
+    page.click("input[name=states][value=S01]")
+    page.write("#p-subset_radius_px", "12")
+    go_and_come_back(page)
+    assert page.run("document.querySelector('input[name=states][value=S01]').checked")
+    page.wait_for(
+        "document.querySelector('#which').open && document.querySelector('#parameters').open", seconds=3
+    )
+    page.visit(f"{site}/campaigns/plate?kind=correlate")
+    assert page.run("document.querySelectorAll('details[open]').length") == 0

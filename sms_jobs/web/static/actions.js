@@ -87,6 +87,11 @@ function after(form, told, submitter) {
   if (words) document.getElementById("said").textContent = words;
 }
 
+function isFilledIn(field) {
+  if (field.options) return field.selectedIndex !== Math.max(0, [...field.options].findIndex((one) => one.defaultSelected));
+  return field.type === "checkbox" ? field.checked !== field.defaultChecked : field.value !== field.defaultValue;
+}
+
 /** Let the forms of a document ask for what they say. */
 export function listen(document) {
   document.addEventListener("submit", (event) => {
@@ -96,4 +101,8 @@ export function listen(document) {
     act(form, event.submitter);
   });
   document.addEventListener("done", (event) => after(event.target, event.detail.told, event.detail.submitter));
+  // What the browser has kept of a form while another page was shown is not folded away: it would be sent unseen.
+  addEventListener("pageshow", () => {
+    for (const field of document.querySelectorAll("form[data-action] details :is(input, select, textarea)")) if (isFilledIn(field)) field.closest("details").open = true;
+  });
 }

@@ -1,6 +1,8 @@
 // The form that submits work: another kind brings its own parameters, an estimate is shown before anything is done.
 const choose = document.getElementById("choose"), form = document.getElementById("submit");
 choose?.querySelector("select").addEventListener("change", () => choose.requestSubmit());
+// A browser that goes back keeps what was chosen; what would be submitted is the kind of this page.
+addEventListener("pageshow", () => choose?.reset());
 
 const time = (seconds) => seconds < 120 ? `${Math.round(seconds)} s` : seconds < 7200 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
 
