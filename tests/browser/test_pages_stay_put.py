@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pydantic import SecretStr
 from sqlalchemy import update
 from support.browser import Browser, browser_or_skip
 from support.homes import make_home
 from support.serving import serving
 
 from sms_jobs import bootstrap
+from sms_jobs.app.accounts import people
 from sms_jobs.app.work import jobs, new_jobs, schedules
 from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.bootstrap import Services
 from sms_jobs.catalogue.tables.jobs import JobRow
 from sms_jobs.jobs.running.logs import job_log
 from sms_jobs.records.job import JobState
+from sms_jobs.records.people import Role
 
 PASSWORD = "correct horse battery"
 SIMULATE = Work("plate", ("simulate",))
@@ -284,3 +288,34 @@ def test_what_the_browser_kept_of_a_form_is_not_folded_away(
     )
     page.visit(f"{site}/campaigns/plate?kind=correlate")
     assert page.run("document.querySelectorAll('details[open]').length") == 0
+
+
+def test_a_page_hears_of_changes_again_after_its_session_was_begun_anew(
+    page: Browser, site: str, services: Services
+) -> None:
+    people.add(services, "ada", Role.ADMINISTRATOR, SecretStr(PASSWORD))
+    schedules.add(services, "nightly", "every 1h", SIMULATE)
+    page.visit(f"{site}/schedules")
+    page.write("#name", "ada")
+    page.write("#password", PASSWORD)
+    page.leave_by("button.main")
+    watch(page, f"{site}/schedules")
+    page.write("#name", "weekly")
+    page.run(NOTING)
+    for session in people.list_access(services, "ada"):
+        people.revoke(services, session.id)
+    page.run("document.querySelector('#hold-nightly').click()")
+    page.wait_for("document.querySelector('#connection').textContent.includes('Your session has ended')")
+    # As when it is behind the window in which somebody will log in, and looked at before that.
+    for hidden in ("true", "false"):
+        page.run(f"Object.defineProperty(document, 'hidden', {{value: {hidden}, configurable: true}})")
+        page.run("document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait_for("window.refused === '/api/v1/events'")
+    again = json.dumps({"name": "ada", "password": PASSWORD})
+    asked = f"fetch('/api/v1/session', {{method: 'POST', body: {json.dumps(again)}, "
+    assert page.run(asked + "headers: {'Content-Type': 'application/json'}}).then(a => a.status)") < 300
+    page.wait_for("document.querySelector('#connection').hidden", seconds=30)
+    schedules.set_paused(services, "nightly", True)
+    page.wait_for("document.querySelector('#hold-nightly').textContent === 'Resume'", seconds=20)
+    assert page.run("document.querySelector('#name').value") == "weekly"
+    assert page.run("window.here")

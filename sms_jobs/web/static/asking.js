@@ -11,6 +11,7 @@ export function logInAgain() {
     return;
   }
   const line = document.getElementById("connection"), way = document.createElement("a");
+  if (line.querySelector("a")) return;
   Object.assign(way, { href: door, target: "_blank", textContent: "Log in in another window" });
   line.replaceChildren("Your session has ended. ", way, ", then go on here: what is typed stays.");
   line.hidden = false;

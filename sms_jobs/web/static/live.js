@@ -121,13 +121,13 @@ export async function events(heard, connected, away) {
       const answer = await fetch(`${API}/events`, {
         headers: { Accept: "text/event-stream", ...(last ? { "Last-Event-ID": last } : {}) }, signal: stop.signal,
       });
-      if (answer.status === 401) { logInAgain(); return; }
+      if (answer.status === 401) { logInAgain(); pause = LONGEST_PAUSE_MS; }
       if (!answer.ok) throw new Error(String(answer.status));
       if (pause > 500) connected();
       pause = 500;
       last = await read(answer.body.getReader(), stop, heard, last);
     } catch (error) {
-      if (pause > 2000 && error.message !== "404") away("The server does not answer");
+      if (pause > 2000 && !["401", "404"].includes(error.message)) away("The server does not answer");
     }
     await new Promise((done) => setTimeout(done, pause));
     pause = Math.min(2 * pause, LONGEST_PAUSE_MS);
