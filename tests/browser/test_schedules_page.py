@@ -91,3 +91,24 @@ def test_a_schedule_takes_the_parameters_of_its_kind(page: Browser, site: str) -
     told = "fetch('/api/v1/schedules').then(a => a.json()).then(found => found.map(one => one.name))"
     assert "wider" in page.run(told)
     assert page.complaints == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameter", "several"),
+    [
+        ("gauges", "gauge", "G1 x=0 y=0 length=20, G2 x=5 y=0 length=20"),
+        ("export", "formats", "csv, vtk"),
+        ("deviate", "translation_mm", "1, 2.5, 3"),
+    ],
+)
+def test_several_values_of_a_parameter_are_written_as_at_a_command(
+    page: Browser, site: str, kind: str, parameter: str, several: str
+) -> None:
+    page.visit(f"{site}/schedules?kind={kind}")
+    page.run("document.querySelector('#parameters').open = true")
+    page.write("#name", kind)
+    page.write("#when", "0 3 * * *")
+    page.write(f"#p-{parameter}", several)
+    page.click("#new button.main")
+    page.wait_for(f"document.querySelector('#schedules').textContent.includes('{kind} of plate')")
+    assert page.complaints == []

@@ -20,6 +20,8 @@ export function bodyOf(form, submitter) {
     else if (text === "" && "optional" in field.dataset) continue;
     else if (type === "number") place(field.name, text === "" ? null : Number(text));
     else if (type === "values") place(field.name, text.split(",").map((one) => valueOf(one.trim())).filter((one) => one !== ""));
+    // As on the command line: text, or texts with commas between them.
+    else if (type === "parameter") place(field.name, text.includes(",") ? text.split(",").map((one) => one.trim()).filter(Boolean) : text.trim());
     else if (type === "value") place(field.name, valueOf(text));
     else if (type === "when") place(field.name, new Date(text).toISOString());
     else place(field.name, text);
