@@ -255,6 +255,32 @@ def test_states_are_gone_through_with_the_chosen_quantity(page: Browser, served:
     assert readout(page, 60, 70).startswith("strain yy")
 
 
+def test_a_link_that_was_cut_off_shows_the_first_quantity(page: Browser, served: Served) -> None:
+    address = f"{served.address}/field/{served.file('strain', 'plate/S01/C1P1')}"
+    page.visit("about:blank")
+    show(page, f"{address}#strain%20y%")
+    page.point(*place_of(page, 60, 70))
+    assert readout(page, 60, 70).startswith("strain xx")
+
+
+def test_what_is_refused_or_not_answered_is_told_without_what_was_read_before(
+    page: Browser, served: Served
+) -> None:
+    rows = "document.querySelectorAll('#table tbody tr').length"
+    for unanswered, words in (
+        ("Promise.reject(new TypeError('Failed to fetch'))", "The server does not answer; try again"),
+        ("Promise.resolve(new Response('<html>', {status: 502}))", "The server answered 502; try again"),
+    ):
+        page.press(*place_of(page, 60, 70))
+        told(page, "as archived")
+        page.wait_for(f"{rows} === 2 && document.querySelector('#chart svg')")
+        page.run(f"window.asking = fetch; window.fetch = () => {unanswered}")
+        page.press(*place_of(page, 61, 70))
+        told(page, words)
+        assert page.run(f"{rows} + document.querySelectorAll('#chart svg').length") == 0
+        page.run("window.fetch = window.asking")
+
+
 def test_what_is_enlarged_is_shown_pixel_by_pixel(page: Browser, served: Served) -> None:
     size, every = 1500, 3  # 640 samples at most
     row, column = np.mgrid[0:size, 0:size].astype(np.float64)

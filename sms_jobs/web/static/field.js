@@ -6,9 +6,10 @@ const MARK = "#ff5a36";
 
 async function asked(address, given) {
   const query = new URLSearchParams(Object.entries(given).filter(([, value]) => value !== null && value !== undefined && value !== ""));
-  const answer = await fetch(`${address}?${query}`, { headers: { Accept: "application/json" } });
-  const said = await answer.json();
-  if (!answer.ok) throw new Error(said.error || answer.statusText);
+  let answer;
+  try { answer = await fetch(`${address}?${query}`, { headers: { Accept: "application/json" } }); } catch { throw new Error("The server does not answer; try again in a moment"); }
+  const said = await answer.json().catch(() => ({})); // of a server between, which says it otherwise
+  if (!answer.ok) throw new Error(said.error || `The server answered ${answer.status}; try again in a moment`);
   return said;
 }
 
@@ -139,6 +140,11 @@ function remember(name) {
   for (const link of document.querySelectorAll("a[data-keep]")) link.hash = encodeURIComponent(name);
 }
 
+// What went along; nothing of a link that was cut off.
+function remembered() {
+  try { return decodeURIComponent(location.hash.slice(1)); } catch { return ""; }
+}
+
 // What the first result says more than the second at the same pixels: their values subtracted, their variances added.
 class DifferenceFields {
   constructor(first, second, about) {
@@ -205,7 +211,11 @@ function tell(words) { element("told").textContent = words; }
 // Runs something that takes a while; what was asked for later wins.
 async function attempt(work) {
   const mine = ++asking, late = () => mine !== asking;
-  try { await work(late); } catch (error) { if (!late()) tell(`${error.message}.`); }
+  try { await work(late); } catch (error) {
+    if (late()) return;
+    tell(`${error.message}.`);
+    for (const old of ["chart", "table"]) element(old).replaceChildren();
+  }
 }
 
 async function picked(view, sample) {
@@ -404,7 +414,7 @@ async function begin() {
   const sections = [...document.querySelectorAll("#maps section.view")].filter((section) => section.querySelector("script.about"));
   for (const section of sections) {
     const about = JSON.parse(section.querySelector("script.about").textContent), view = new FieldView(section, fetched(about));
-    const wanted = view.about.fields.findIndex((field) => field.name === decodeURIComponent(location.hash.slice(1)));
+    const wanted = view.about.fields.findIndex((field) => field.name === remembered());
     if (wanted > 0) { view.chosen = wanted; view.section.querySelector(".first img").src += `&name=${encodeURIComponent(view.field.name)}`; }
     views.push(view);
   }
