@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import httpx2
@@ -14,6 +15,7 @@ from support.over_http import app_of, served
 
 from sms_jobs import bootstrap
 from sms_jobs.app.accounts import people
+from sms_jobs.app.specimens import campaigns
 from sms_jobs.app.work import new_jobs, schedules
 from sms_jobs.app.work.new_jobs import Work
 from sms_jobs.records.people import RIGHTS, Role
@@ -77,6 +79,21 @@ def test_a_campaign_shows_each_state_and_view_with_the_job_that_is_in_the_way(de
     chosen = desk.get("/campaigns/plate", params={"kind": "correlate"}).text
     assert 'name="parameters:subset_radius_px"' in chosen
     assert "<option>gauss-newton</option>" in chosen
+
+
+@pytest.mark.parametrize(("shown", "more"), [(200, 800), (3200, 10_000), (10_000, None)])
+def test_more_campaigns_are_offered_as_far_as_a_page_goes(
+    desk: httpx2.Client, monkeypatch: pytest.MonkeyPatch, shown: int, more: int | None
+) -> None:
+    def many(services: bootstrap.Services, limit: int) -> campaigns.Campaigns:
+        return replace(found(services, 1), newest=shown * found(services, 1).newest, total=20_000)
+
+    found = campaigns.list_campaigns
+    monkeypatch.setattr(campaigns, "list_campaigns", many)
+    page = desk.get("/campaigns").text
+    offered = re.findall(r'href="(/campaigns\?limit=(\d+))"', page)
+    assert [int(limit) for _, limit in offered] == ([] if more is None else [more])
+    assert all(desk.get(address).status_code == 200 for address, _ in offered)
 
 
 def test_jobs_are_listed_page_by_page(desk: httpx2.Client) -> None:

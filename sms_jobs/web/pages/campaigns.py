@@ -20,7 +20,7 @@ from sms_jobs.web.sharing import Shared
 
 PAGES = Pages("campaigns", Entry("Campaigns", "/campaigns", 10))
 
-_SHOWN = 200
+_SHOWN, _MOST = 200, 10_000
 _PICTURES = 24
 _STATES = 50
 """That are shown at once: a page that is fetched again and again has to be quick."""
@@ -51,9 +51,9 @@ class Matrix:
 
 
 @PAGES.show("/campaigns", campaigns.list_campaigns)
-def list_(page: Page, limit: Annotated[int, Query(ge=1, le=10_000)] = _SHOWN) -> HTMLResponse:
+def list_(page: Page, limit: Annotated[int, Query(ge=1, le=_MOST)] = _SHOWN) -> HTMLResponse:
     """List the campaigns."""
-    return page.render("campaigns.html", found=campaigns.list_campaigns(page.services, limit))
+    return page.render("campaigns.html", found=campaigns.list_campaigns(page.services, limit), most=_MOST)
 
 
 @PAGES.show("/campaigns/{name}", campaigns.overview)
