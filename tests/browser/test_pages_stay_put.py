@@ -319,3 +319,25 @@ def test_a_page_hears_of_changes_again_after_its_session_was_begun_anew(
     page.wait_for("document.querySelector('#hold-nightly').textContent === 'Resume'", seconds=20)
     assert page.run("document.querySelector('#name').value") == "weekly"
     assert page.run("window.here")
+
+
+def test_a_page_says_who_has_logged_in_elsewhere_and_that_it_may_not_be_seen_any_more(
+    page: Browser, site: str, services: Services
+) -> None:
+    for name in ("ada", "bob"):
+        people.add(services, name, Role.ADMINISTRATOR, SecretStr(PASSWORD))
+    page.visit(f"{site}/people")
+    page.write("#name", "ada")
+    page.write("#password", PASSWORD)
+    page.leave_by("button.main")
+    watch(page, f"{site}/people")
+    assert page.run("document.querySelector('.who a').textContent") == "ada administrator"
+    other = json.dumps({"name": "bob", "password": PASSWORD})
+    asked = f"fetch('/api/v1/session', {{method: 'POST', body: {json.dumps(other)}, "
+    assert page.run(asked + "headers: {'Content-Type': 'application/json'}}).then(a => a.status)") < 300
+    schedules.add(services, "nightly", "every 1h", SIMULATE)
+    page.wait_for("document.querySelector('.who a').textContent === 'bob administrator'")
+    people.set_role(services, "bob", Role.VIEWER)
+    schedules.set_paused(services, "nightly", True)
+    page.wait_for("document.querySelector('#connection').textContent.startsWith('You may no longer see')")
+    assert page.run("window.here")

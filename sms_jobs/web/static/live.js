@@ -7,6 +7,7 @@ const GATHERED_MS = 50, LONGEST_PAUSE_MS = 15000, SILENT_MS = 40000;
 // The first event is shown at once. While things happen all the time, a page then rests for as long as the server
 // says with each answer (`pacing.py`), and for this long after one that did not say.
 const REST_MS = 3000;
+const REFUSED = { 403: "You may no longer see this page", 404: "This page is gone" };
 
 /** Keep the live regions of a document as the server has them. */
 export function follow(document) {
@@ -22,8 +23,11 @@ export function follow(document) {
       const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
       rest = Number(answer.headers.get("X-Rest-Ms") ?? REST_MS);
       if (answer.redirected && new URL(answer.url).pathname === "/login") { logInAgain(); return; }
-      if (!answer.ok) { away(answer.status >= 500 ? "The server cannot answer now" : "This page is gone"); return; }
+      if (!answer.ok) { away(REFUSED[answer.status] ?? "The server cannot answer now"); return; }
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+      // Somebody else may have logged in, in another window of this browser.
+      const [shown, now] = [document, fresh].map((one) => one.querySelector(".who a"));
+      if (shown && now && shown.textContent !== now.textContent) shown.replaceChildren(...now.childNodes);
       for (const old of regions()) {
         const made = fresh.getElementById(old.id);
         if (made) replace(old, made);
