@@ -39,6 +39,12 @@ NOTING = """{ const ask = window.fetch; window.fetch = async (address, options) 
     if (answer.status === 401) window.refused = address;
     return answer; }; }"""
 """Lets the page say what it was refused last because nobody was known."""
+SILENT = """{ const ask = window.fetch, wait = window.setTimeout; window.tried = [];
+    window.setTimeout = (done, ms) => wait(done, ms / 100);
+    window.speak = () => { window.fetch = ask; window.setTimeout = wait; };
+    window.fetch = (address, {signal}) => new Promise((_, failed) => {
+        window.tried.push(address); signal?.addEventListener('abort', () => failed(signal.reason)); }); }"""
+"""Lets the page wait for a server that takes what it asks and says nothing, in a hundredth of the time."""
 
 
 @pytest.fixture
@@ -341,3 +347,23 @@ def test_a_page_says_who_has_logged_in_elsewhere_and_that_it_may_not_be_seen_any
     schedules.set_paused(services, "nightly", True)
     page.wait_for("document.querySelector('#connection').textContent.startsWith('You may no longer see')")
     assert page.run("window.here")
+
+
+def test_a_server_that_takes_requests_and_says_nothing_is_away(
+    page: Browser, site: str, services: Services
+) -> None:
+    schedules.add(services, "nightly", "every 1h", SIMULATE)
+    page.visit(f"{site}/schedules")
+    page.run(SILENT)
+    # As when it is left and looked at again, which begins another connection.
+    for hidden in ("true", "false"):
+        page.run(f"Object.defineProperty(document, 'hidden', {{value: {hidden}, configurable: true}})")
+        page.run("document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait_for(
+        "document.querySelector('#connection').textContent.startsWith('The server does not answer')"
+    )
+    page.wait_for("window.tried.filter(one => one.endsWith('/events')).length > 2")
+    page.run("window.speak()")
+    page.wait_for("document.querySelector('#connection').hidden", seconds=60)
+    schedules.set_paused(services, "nightly", True)
+    page.wait_for("document.querySelector('#hold-nightly').textContent === 'Resume'")

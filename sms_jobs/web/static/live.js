@@ -20,7 +20,7 @@ export function follow(document) {
     busy = true;
     let rest = REST_MS;
     try {
-      const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
+      const answer = await fetch(location.href, { headers: { Accept: "text/html" }, signal: late() });
       rest = Number(answer.headers.get("X-Rest-Ms") ?? REST_MS);
       if (answer.redirected && new URL(answer.url).pathname === "/login") { logInAgain(); return; }
       if (!answer.ok) { away(REFUSED[answer.status] ?? "The server cannot answer now"); return; }
@@ -40,6 +40,13 @@ export function follow(document) {
       rested = performance.now() + rest;
       if (again) { again = false; soon(); }
     }
+  }
+
+  // A server that takes a request and says nothing is away as well.
+  function late() {
+    const stop = new AbortController();
+    setTimeout(() => stop.abort(), SILENT_MS);
+    return stop.signal;
   }
 
   function replace(old, made) {
@@ -120,11 +127,12 @@ export async function events(heard, connected, away) {
       await new Promise((done) => document.addEventListener("visibilitychange", done, { once: true }));
       continue;
     }
+    const stop = new AbortController(), silent = setTimeout(() => stop.abort(), SILENT_MS);
     try {
-      const stop = new AbortController();
       const answer = await fetch(`${API}/events`, {
         headers: { Accept: "text/event-stream", ...(last ? { "Last-Event-ID": last } : {}) }, signal: stop.signal,
       });
+      clearTimeout(silent);
       if (answer.status === 401) { logInAgain(); pause = LONGEST_PAUSE_MS; }
       if (!answer.ok) throw new Error(String(answer.status));
       if (pause > 500) connected();
