@@ -124,6 +124,7 @@ def test_what_is_typed_stays_beside_what_is_wrong_with_it(desk: httpx2.Client) -
         ("/campaigns/none", 404, "no campaign"),
         ("/nowhere", 404, "no page /nowhere"),
         ("/jobs?limit=x", 422, "cannot be used"),
+        ("/schedules?day=0001-01-01", 422, "0001-01&#39; is no month from 2000 to 2199"),
     ],
 )
 def test_an_error_of_a_page_is_a_page(desk: httpx2.Client, path: str, status: int, words: str) -> None:

@@ -53,7 +53,7 @@ def list_(page: Page, month: str = "", day: date | None = None, kind: str = kind
     ]
     here = ZoneInfo(zone)
     today = datetime.now(UTC).astimezone(here).date()
-    first = schedules.month_of(month or f"{day or today:%Y-%m}")
+    first = schedules.month_of(month or (day or today).isoformat()[:7])
     offered = kinds.list_kinds(services)
     return page.render(
         "schedules.html",
