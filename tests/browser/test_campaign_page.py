@@ -96,3 +96,18 @@ def test_an_emptied_priority_is_the_usual_one(services: Services, tmp_path: Path
         page.click("#estimate")
         page.wait_for("document.querySelector('#submit .outcome').textContent.includes('Would submit 2')")
         assert page.complaints == []
+
+
+def test_one_job_is_told_as_one(services: Services, tmp_path: Path) -> None:
+    with (
+        serving(services.settings.home) as site,
+        Browser(browser_or_skip(), tmp_path / "profile") as page,
+    ):
+        page.screen(1280, 900)
+        page.visit(f"{site}/campaigns/plate?kind=simulate")
+        page.run("document.querySelector('#which').open = true")
+        for one in ("states][value=S00", "views][value=C1P1"):
+            page.click(f"#submit input[name={one}]")
+        page.click("#estimate")
+        told = "document.querySelector('#submit .outcome').textContent"
+        page.wait_for(f"{told}.includes('Would submit 1 job: 1 simulate')")

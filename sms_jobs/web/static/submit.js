@@ -13,8 +13,7 @@ form?.addEventListener("done", (event) => {
   const ahead = told.estimate, lines = [];
   if (!told.jobs.length) lines.push("Nothing is missing: there is nothing to compute.");
   else {
-    lines.push(`${dry ? "Would submit" : "Submitted"} ${told.jobs.length} jobs: ${counted}.`);
-    if (ahead.reused) lines.push(`${ahead.reused} of them are reused.`);
+    lines.push(`${dry ? "Would submit" : "Submitted"} ${told.jobs.length} job${told.jobs.length === 1 ? "" : "s"}: ${counted}${ahead.reused ? `; ${ahead.reused} of them reused` : ""}.`);
     lines.push(ahead.seconds === null ? "How long they take is not known."
       : `They take about ${time(ahead.seconds)}${ahead.alive ? "" : " once the service is started"}.`);
     const unknown = Object.keys(ahead.unknown);
