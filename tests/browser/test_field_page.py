@@ -281,6 +281,23 @@ def test_what_is_refused_or_not_answered_is_told_without_what_was_read_before(
         page.run("window.fetch = window.asking")
 
 
+def test_what_could_not_be_fetched_is_asked_for_again(page: Browser) -> None:
+    page.run("window.asking = fetch; window.fetch = () => Promise.reject(new TypeError('Failed to fetch'))")
+    choose(page, "place")
+    page.press(*place_of(page, 60, 70))
+    told(page, "The server does not answer")
+    select(page, "strain yy")
+    page.wait_for(f"{MAP}.querySelector('.readout').textContent.includes('does not answer')")
+    page.run("window.fetch = window.asking; new Promise(done => setTimeout(done, 1500))")
+    page.complaints.clear()  # what the pointer passes is not read, either
+    select(page, "strain xx")
+    select(page, "strain yy")
+    page.point(*place_of(page, 61, 70))
+    assert readout(page, 61, 70).startswith("strain yy")
+    page.press(*place_of(page, 60, 70))
+    told(page, "pixels of C1P1")
+
+
 def test_what_is_enlarged_is_shown_pixel_by_pixel(page: Browser, served: Served) -> None:
     size, every = 1500, 3  # 640 samples at most
     row, column = np.mgrid[0:size, 0:size].astype(np.float64)

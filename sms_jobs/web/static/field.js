@@ -3,6 +3,7 @@
 const API = "/api/v1/fields";
 const SAMPLES = 640;
 const MARK = "#ff5a36";
+const AGAIN_MS = 1000;
 
 async function asked(address, given) {
   const query = new URLSearchParams(Object.entries(given).filter(([, value]) => value !== null && value !== undefined && value !== ""));
@@ -13,7 +14,7 @@ async function asked(address, given) {
   return said;
 }
 
-// Values of a file: asked for when they are shown, once.
+// Values of a file: asked for when they are shown, once; after a failure again, but not with each move of the mouse.
 function fetched(about) {
   const waiting = new Map();
   return {
@@ -22,6 +23,7 @@ function fetched(about) {
         const { window: w } = about, window = w && [w.top, w.left, w.rows, w.columns].join();
         const asking = asked(`${API}/${about.file}/values`, { name: field.name, part: about.part, window });
         waiting.set(field.name, asking.then((found) => Object.assign(field, found, about.limitsOf?.(field.name))));
+        asking.catch(() => setTimeout(() => waiting.delete(field.name), AGAIN_MS));
       }
       return waiting.get(field.name);
     },
@@ -50,6 +52,7 @@ class FieldView extends View {
       this.paintScale(this.shown);
     } catch (error) {
       this.section.querySelector(".first")?.remove();
+      this.fields.forget();
       this.read.textContent = `${error.message}.`;
     }
   }
@@ -108,7 +111,7 @@ class FieldView extends View {
 
   pick(sample) {
     this.point(sample);
-    picked(this, this.cursor);
+    picked(this, this.cursor).catch(failed);
   }
 
   choose(place) {
@@ -155,6 +158,7 @@ class DifferenceFields {
 
   named(name) { return this.about.fields.find((field) => field.name === name); }
   vectors(names) { return this.first.fields.vectors(names); }
+  forget() { for (const one of [this, this.first.fields, this.second.fields]) one.waiting.clear(); }
   async both(field, part) {
     const of = (view) => view.fields[part](view.fields.named(field.name));
     return Promise.all([of(this.first), of(this.second)]);
@@ -211,11 +215,14 @@ function tell(words) { element("told").textContent = words; }
 // Runs something that takes a while; what was asked for later wins.
 async function attempt(work) {
   const mine = ++asking, late = () => mine !== asking;
-  try { await work(late); } catch (error) {
-    if (late()) return;
-    tell(`${error.message}.`);
-    for (const old of ["chart", "table"]) element(old).replaceChildren();
-  }
+  try { await work(late); } catch (error) { if (!late()) failed(error); }
+}
+
+// Says why something was not read, without what was read before; what could not be fetched may be there later.
+function failed(error) {
+  tell(`${error.message}.`);
+  for (const old of ["chart", "table"]) element(old).replaceChildren();
+  for (const view of views) view.fields.forget();
 }
 
 async function picked(view, sample) {
