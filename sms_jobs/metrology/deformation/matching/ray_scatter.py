@@ -115,8 +115,8 @@ def scatter_of_places(
     Returns
     -------
     (rows, columns): the mean square of second differences about each pixel, as `stated_by_rays` takes it, of
-    places one subset, one and a half and three apart, the largest of them within one and a half on either side; NaN where
-    no places are seen.
+    places one subset, one and a half and three apart; the largest of them within one and a half subsets on
+    either side. NaN where no places are seen.
 
     Notes
     -----
