@@ -33,7 +33,7 @@ _OFF_SIGMAS, _OFF_PX = 3.0, 0.05
 """Deviations of a match, and px, by which images may ask for another place; by more than both it is none."""
 
 
-_SCATTERED = 2.0
+_SCATTERED = 2.2
 """Mean square, in units of the variance, from which places scatter by more than is stated of them."""
 
 

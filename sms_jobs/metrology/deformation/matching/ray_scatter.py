@@ -18,7 +18,7 @@ from sms_jobs.metrology.geometry.several_cameras import meet_rays
 _WIDTHS = 2  # subsets on either side whose scatter is taken
 _CAP = 16.0  # of a squared deviation in units of its variance: of few, what is farther off is no scatter
 _MOSTLY = 0.5  # of that the mean may be; more is scatter, and cut off at 16 times as much
-_ENOUGH = 0.25  # of the squared deviations that a window could hold
+_ENOUGH = 0.125  # of the squared deviations that a window could hold
 _DISTANCES = (1.0, 1.5, 3.0)  # between places that are compared, in widths of a subset
 _AHEAD = 1e-3  # part of its distance by which a point is moved along its ray
 
@@ -62,7 +62,7 @@ def stated_by_rays(
     lattice = np.full((2, row.max(initial=0) + 1, column.max(initial=0) + 1), np.nan)
     lattice[:, row, column] = matches_off_rays(reference, partner, found, threads)
     subset = -(-(2 * radius + 1) // spacing)
-    square = _mean_squares(lattice, subset, subset)[row, column]
+    square = _mean_squares(_differences(lattice, subset), subset)[row, column]
     told = np.maximum(matches.misfit, 1.0)
     times = np.maximum(np.where(np.isfinite(square), square, 1.0), 1.0 / told)
     return replace(
@@ -132,10 +132,14 @@ def scatter_of_places(
         reference, partner, pixels, seen.reshape(2, -1), np.sqrt(spread).reshape(2, -1), slopes, threads
     )
     subset = -(-(2 * radius + 1) // step)
+    lattice, each = off.reshape(2, *shape), []
     # Waves that are as long as a distance show nothing over it, and longer ones less.
-    lattice = off.reshape(2, *shape)
-    each = (_mean_squares(lattice, round(times * subset), subset) for times in _DISTANCES)
-    square = np.fmax.reduce(list(each))
+    for times in _DISTANCES:
+        squares = _differences(lattice, round(times * subset))
+        # What is too narrow for one axis would show nothing of waves that run along it.
+        along, down = (_mean_squares(own[None], subset) for own in squares)
+        each.append(np.where(np.isnan(along + down), np.fmax(along, down), 0.5 * (along + down)))
+    square = np.fmax.reduce(each)
     # Along rays nothing is seen, and waves there have their nodes elsewhere.
     square = ndimage.maximum_filter(square, 3 * subset + 1)
     rows, columns = (np.arange(length) // step for length in place.shape[1:])
@@ -171,12 +175,12 @@ def _off_rays(
     return np.stack([distance, np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, usual)])
 
 
-def _mean_squares(lattice: Floats, apart: int, subset: int) -> Floats:
-    """Return the mean square about each node of second differences over `apart` nodes, in their variances.
+def _differences(lattice: Floats, apart: int) -> Floats:
+    """Return squares of second differences along either axis, (2, rows, columns), in their variances.
 
-    `lattice` (2, rows, columns) is how far nodes are off and their deviations, and `subset` how many nodes a
-    subset is wide. Where deviations change, what all nodes are off by alike is no difference. NaN everywhere
-    where too few are known.
+    `lattice` (2, rows, columns) is how far nodes are off and their deviations, and `apart` how many nodes lie
+    between those that are compared. Where deviations change, what all nodes are off by alike is no
+    difference.
     """
     squares = np.full(lattice.shape, np.nan)
     for axis in range(2):
@@ -188,19 +192,27 @@ def _mean_squares(lattice: Floats, apart: int, subset: int) -> Floats:
             own[apart:-apart] = bend**2 / (
                 variance[: -2 * apart] + 4.0 * variance[apart:-apart] + variance[2 * apart :]
             )
+    return squares
+
+
+def _mean_squares(squares: Floats, subset: int) -> Floats:
+    """Return the mean of squares (k, rows, columns) about each node; NaN everywhere where too few are known.
+
+    `subset` is how many nodes a subset is wide. Nodes about which too few are known have that of the nearest.
+    """
     size = 2 * _WIDTHS * subset + 1
-    count = np.isfinite(squares).sum(axis=0, dtype=np.float64)
+    count = np.isfinite(squares).mean(axis=0)
     share = ndimage.uniform_filter(count, size, mode="constant")
     cap, mean, cut = _CAP, np.full(share.shape, np.nan), share > _ENOUGH
     while cut.any():
-        total = ndimage.uniform_filter(np.nansum(np.minimum(squares, cap), axis=0), size, mode="constant")
-        part = total[cut] / share[cut] / cap
+        sums = np.nansum(np.minimum(squares, cap), axis=0) / len(squares)
+        part = ndimage.uniform_filter(sums, size, mode="constant")[cut] / share[cut] / cap
         mean[cut] = cap * _not_cut_off(part)
         cut[cut] = part > _MOSTLY
         cap *= _CAP
     known = np.isfinite(mean)
     if not known.any():
-        return np.full(share.shape, np.nan)
+        return mean
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(mean[tuple(nearest)])
 
