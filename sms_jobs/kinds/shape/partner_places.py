@@ -37,6 +37,10 @@ _SCATTERED = 2.2
 """Mean square, in units of the variance, from which places scatter by more than is stated of them."""
 
 
+_SHAKEN = 5.0
+"""Deviations of matches by noise from which their scatter is none of lenses or of coarse sampling."""
+
+
 def asks_for_another_place(bias: Floats, variance: Floats) -> Mask:
     """Say where images that are compared again ask for another place than a match between cameras tells.
 
@@ -62,8 +66,8 @@ class PartnerPlaces:
     lenses
         By how much the lenses of the reference camera and of the partner blur, variances in px^2.
     shaken
-        (rows, columns), in px^2: what places scatter by beyond all else that is known of them, as in haze; it
-        is in their variances. None where they do so nowhere.
+        (rows, columns), in px^2: what places scatter by beyond all else that is known of them, as in haze, 0
+        for nothing; it is in their variances.
     """
 
     place: Floats
@@ -71,7 +75,7 @@ class PartnerPlaces:
     noise: Floats
     disagree: Mask
     lenses: Spots
-    shaken: Floats | None
+    shaken: Floats
 
 
 def places_of_pixels(
@@ -108,11 +112,11 @@ def places_of_pixels(
     lenses = images.spots[0] - filtered[0], images.spots[1] - filtered[1]
     variance = spread.variance + np.fmax(asked, bent)
     times = scatter_of_places(*cameras, place, variance, radius, threads)
-    shaken = None
-    if (times > _SCATTERED).any():
-        more = np.where(times > _SCATTERED, times - 1.0, 0.0)
-        shaken = more * variance.mean(axis=0)
-        variance *= 1.0 + more
+    more = np.where(times > _SCATTERED, times - 1.0, 0.0)
+    matched, noise = spread.variance.mean(axis=0), spread.noise.mean(axis=0)
+    shaken = more * variance.mean(axis=0)
+    shaken += np.where(matched > _SHAKEN**2 * noise, matched - noise, 0.0)
+    variance *= 1.0 + more
     return PartnerPlaces(place, variance, spread.noise, disagree, lenses, shaken)
 
 
@@ -194,15 +198,13 @@ def with_shaken_rays(surface: Surface, camera: Camera, spread: Sequence[PartnerP
     Nobody knows which image does, and a point lies on the ray of its pixel. What several partners show alike
     is the least of what they scatter by.
     """
-    every = [
-        np.where(np.isfinite(one.place[0]), one.shaken, np.inf) for one in spread if one.shaken is not None
-    ]
-    if len(every) < len(spread):
+    every = [np.where(np.isfinite(one.place[0]), one.shaken, np.inf) for one in spread]
+    shaken = np.min(every, axis=0)
+    some = np.isfinite(surface.position[0]) & (shaken > 0.0) & np.isfinite(shaken)
+    if not some.any():
         return surface
     assert surface.covariance is not None
     assert surface.noise_part is not None
-    shaken = np.min(every, axis=0)
-    some = np.isfinite(surface.position[0]) & (shaken > 0.0) & np.isfinite(shaken)
     ray = surface.position[:, some] - camera.pose.centre()[:, None]
     depth = camera.pose.matrix()[2] @ ray
     ray /= np.linalg.norm(ray, axis=0)

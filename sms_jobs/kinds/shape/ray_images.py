@@ -53,6 +53,7 @@ def told_by_rays(
     surface: Surface,
     statistics: dict[str, float],
     missed: Sequence[MissedRays | None],
+    noise_px: float,
 ) -> CalibrationFactor:
     """Return how well sensors are known, by what matches miss the images of their rays by, too.
 
@@ -66,6 +67,8 @@ def told_by_rays(
         With `epipolar_rms_px`; what the calibration lets that be is added, for people.
     missed
         By each partner.
+    noise_px
+        Deviation of a match.
 
     Notes
     -----
@@ -79,7 +82,7 @@ def told_by_rays(
     points, view = surface.position[:, rows, columns].T, economical(known_view(factor))
     stated = tuple(_rms(line_sigma_px(view, partner, points)) for partner in range(1, len(view.sensors)))
     statistics["epipolar_stated_px"] = _rms(np.array(stated))
-    times = _times_stated(statistics)
+    times = _times_stated(statistics, noise_px)
     known = tuple(one for one in missed if one is not None)
     if len(known) < len(stated):
         known = ()
@@ -90,37 +93,37 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _far_off(statistics: Mapping[str, float]) -> bool:
+def _far_off(statistics: Mapping[str, float], noise_px: float) -> bool:
     """Say whether matches miss the images of their rays by more than noise and the calibration explain."""
-    explained = np.hypot(statistics["epipolar_stated_px"], statistics.get("median_match_sigma_px", 0.0))
-    return bool(statistics["epipolar_rms_px"] > _LINE_SIGMAS * explained)
+    explained = float(np.hypot(statistics["epipolar_stated_px"], noise_px))
+    return statistics["epipolar_rms_px"] > _LINE_SIGMAS * explained
 
 
-def _times_stated(statistics: Mapping[str, float]) -> float:
+def _times_stated(statistics: Mapping[str, float], noise_px: float) -> float:
     """Return by how much the calibration states too little, 1 for nothing."""
     missed, stated = statistics["epipolar_rms_px"], statistics["epipolar_stated_px"]
-    return missed / stated if _far_off(statistics) and stated > 0.0 else 1.0
+    return missed / stated if _far_off(statistics, noise_px) and stated > 0.0 else 1.0
 
 
-def lines_summary(statistics: Mapping[str, float]) -> str:
+def lines_summary(statistics: Mapping[str, float], noise_px: float) -> str:
     """Return in a sentence how far matches lie off the images of their rays, and what was to be expected."""
     missed = f"{statistics['epipolar_rms_px']:.2g} px (rms)"
     found = f"met the rays, whose images the matches miss by {missed}"
     stated = statistics.get("epipolar_stated_px")
     if stated is None:
-        noise = statistics.get("median_match_sigma_px", 0.0)
         unknown = "the calibration does not say how well it is known"
-        if statistics["epipolar_rms_px"] <= max(_LINE_SIGMAS * noise, _FAR_PX):
+        if statistics["epipolar_rms_px"] <= max(_LINE_SIGMAS * noise_px, _FAR_PX):
             return f"{found}; {unknown}"
         return remarked(
             f"the matches miss the images of their rays by {missed}, and {unknown}: points may be off by as "
             "much in every direction, and no deviation includes that; calibrate the cameras as they stand"
         )
-    if _far_off(statistics):
+    if _far_off(statistics, noise_px):
+        times = _times_stated(statistics, noise_px)
         return remarked(
             f"the matches miss the images of their rays by {missed}, and the calibration states {stated:.2g} "
             "px, far less: the cameras may have moved since, or be swapped, or it is another rig's; its part "
-            f"of all deviations is taken to be {_times_stated(statistics):.2g} times what it states"
+            f"of all deviations is taken to be {times:.2g} times what it states"
         )
     return f"{found}; the calibration states {stated:.2g} px"
 

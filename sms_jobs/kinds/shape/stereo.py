@@ -160,15 +160,16 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     for name, places in zip(inputs.view.other_cameras, spread, strict=True):
         records[PLACES.of(name)] = places_seen(name, places, surface)
     statistics = _statistics(surface, labels, kept, epipolar)
+    noise_px = statistics.get("median_match_sigma_px", 0.0)
     if factor is not None:
         subset = (2 * parameters.subset_radius_px + 1) / parameters.spacing_px
         sensors = [one.camera for one in seen]
         misses = matches_missed(sensors, found, max(1.0, subset**2), inputs.threads)
-        factor = told_by_rays(factor, surface, statistics, misses)
+        factor = told_by_rays(factor, surface, statistics, misses, noise_px)
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, lines_summary(statistics))
+    progress(1.0, lines_summary(statistics, noise_px))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 

@@ -130,13 +130,14 @@ def run(inputs: Inputs, parameters: StereoFringesParameters, progress: Progress)
     statistics = _statistics(surface, own.maps, epipolar)
     statistics["blur_px"] = float(np.sqrt(met.corrected.blur.variance))
     records: dict[Product[Any], object] = {SURFACE: surface, PHASE: own.maps}
-    factor = calibration_factor(inputs, _CALIBRATION, calibration)
+    factor, missed = calibration_factor(inputs, _CALIBRATION, calibration), _missed(fringes, met)
+    noise_px = 0.0 if missed is None else missed.scatter
     if factor is not None:
-        factor = told_by_rays(factor, surface, statistics, [_missed(fringes, met)])
+        factor = told_by_rays(factor, surface, statistics, [missed], noise_px)
         surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
         records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
         statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, lines_summary(statistics))
+    progress(1.0, lines_summary(statistics, noise_px))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 

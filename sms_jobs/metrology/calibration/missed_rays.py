@@ -30,12 +30,15 @@ class MissedRays:
         In px: at the middle, and how much more it is `size` further along x and along y.
     sigma
         Deviation of the rms of such a plane by noise alone, px.
+    scatter
+        Of the points about the plane, px.
     """
 
     middle: tuple[float, float]
     size: tuple[float, float]
     plane: tuple[float, float, float]
     sigma: float
+    scatter: float
 
     def change_px(self, before: MissedRays) -> float:
         """Return the rms change over where points were before, in px; 0 where noise explains it."""
@@ -88,4 +91,5 @@ def missed_rays(pixels: Floats, off: Floats, each: float) -> MissedRays | None:
         (float(size[0]), float(size[1])),
         (float(plane[0]), float(plane[1]), float(plane[2])),
         scale * float(np.sqrt(3.0 * each / kept.sum())),
+        scale,
     )

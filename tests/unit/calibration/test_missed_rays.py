@@ -33,6 +33,7 @@ def test_a_plane_is_found_beside_noise_and_what_is_far_off() -> None:
     wanted = (0.3 + 4e-4 * x - 2e-4 * y, 4e-4 * found.size[0], -2e-4 * found.size[1])
     # Each of the three has the noise of a mean over some 550 nodes, 0.0009 px.
     np.testing.assert_allclose(found.plane, wanted, atol=4.0 * NOISE / np.sqrt(550.0))
+    assert found.scatter == pytest.approx(NOISE, rel=0.15)  # by a median of as many: 5 %
 
 
 @pytest.mark.parametrize("each", [1, 9])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.errors import InvalidInput, MeasurementFailed
+from sms_jobs.kinds.calibration_factors import moved_since
 from sms_jobs.kinds.kind import CALIBRATION, DatasetOutput, Inputs
 from sms_jobs.kinds.products import CALIBRATION_FACTOR
 from sms_jobs.kinds.shape import stereo_fringes
@@ -249,6 +250,27 @@ def test_swapped_cameras_and_another_calibration_are_refused() -> None:
     surface: Surface = output.records["surface"]
     assert output.statistics["valid_fraction"] < 0.01
     assert (surface.reason[about.together] & Reason.LARGE_RAY_GAP != 0).mean() > 0.9
+
+
+def test_a_camera_that_moves_is_told_by_what_rays_miss() -> None:
+    """The second camera is said to look 0.05 px lower than it does, known to 0.02 px: as if it had moved."""
+    about, moved_px, stated_px = recorded("curved"), 0.05, 0.02
+    place = PER_SENSOR + SENSOR_PARAMETERS.index("cy")
+    covariance = np.zeros((2 * PER_SENSOR, 2 * PER_SENSOR))
+    covariance[place, place] = stated_px**2
+    known = CalibrationUncertainty(("C1", "C2"), SENSOR_PARAMETERS, covariance)
+    before, now = (
+        output_of(about, turned(about, ("C1", "C2"), by), known).records[CALIBRATION_FACTOR.stored_as]
+        for by in (0.0, moved_px)
+    )
+    # Six deviations explain either by itself.
+    assert (before.times, now.times) == (1.0, 1.0)
+    assert abs(before.missed[0].plane[0]) < 0.01
+    assert abs(now.missed[0].plane[0]) == pytest.approx(moved_px, rel=0.15)
+    assert now.stated_px[0] == pytest.approx(stated_px, rel=0.02)
+    same = replace(now, calibration=before.calibration)
+    assert moved_since(before, same).times == pytest.approx(1.0 + moved_px / stated_px, rel=0.15)
+    assert moved_since(before, now) is now  # of two calibrations nothing is common
 
 
 def test_a_camera_that_sees_no_fringes_is_told() -> None:
