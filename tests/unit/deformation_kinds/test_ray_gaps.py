@@ -42,6 +42,9 @@ def test_gaps_that_noise_or_the_calibration_explain_are_not_told(
 def test_gaps_that_have_come_since_are_told() -> None:
     said = told_of_gaps(surface(0.002, 0.007), surface(0.093, 0.013))
     assert "miss each other by 0.093 mm and did by 0.002 mm at rest" in said
+    assert "is off by more than its deviation says" in said
+    counted = told_of_gaps(surface(0.002, 0.007), surface(0.093, 0.013), counted=True)
+    assert "the calibration's part of the displacement's deviation is larger for it" in counted
     assert told_of_gaps(replace(surface(0.0, 0.1), ray_gap=None), surface(0.093, 0.013)) == ""
 
 

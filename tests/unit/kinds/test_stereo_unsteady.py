@@ -20,11 +20,14 @@ from support.stereo_states import (
 )
 from support.two_cameras import Floats, Motion, at_rest, cameras, curved, seen_by
 
-from sms_jobs.kinds.calibration_factors import OF_BOTH
+from sms_jobs.kinds.calibration_factors import OF_BOTH, moved_since
 from sms_jobs.kinds.kind import DatasetOutput
-from sms_jobs.kinds.surface_ports import position_covariance
+from sms_jobs.kinds.shape.partner_places import PartnerPlaces, with_shaken_rays
+from sms_jobs.kinds.surface_ports import noise_covariance, position_covariance
+from sms_jobs.metrology.calibration.missed_rays import MissedRays
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
-from sms_jobs.records.calibration import CalibrationUncertainty
+from sms_jobs.records.calibration import CalibrationFactor, CalibrationUncertainty
+from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import Measurement
 from sms_jobs.records.reasons import Reason
 from sms_jobs.records.sensors import Rig
@@ -162,3 +165,63 @@ def test_rays_that_miss_far_are_told_where_nothing_is_stated_of_the_calibration(
         r"note: the matches miss the images of their rays by 0\.[45]\d? px \(rms\), and the ", told
     )
     assert "no deviation includes that; calibrate the cameras as they stand" in told
+
+
+def test_points_are_uncertain_across_the_rays_of_a_camera_before_which_air_shakes() -> None:
+    """By the width of what shakes at their distance, and not along the rays; noise stays what it was."""
+    camera = cameras()[0]
+    clean: Surface = surface_of(
+        replace(LATER, state="S00"), [exposed(k, 2, curved, at_rest, 0)[0] for k in range(2)], calibration()
+    ).records["surface"]
+    shape, shaken = clean.reason.shape, 0.04
+    here, there = (
+        PartnerPlaces(
+            np.zeros((2, *shape)), np.ones((2, *shape)), np.ones((2, *shape)), np.zeros(shape, bool),
+            (0.0, 0.0), np.full(shape, by),
+        )
+        for by in (shaken, 4.0 * shaken)
+    )  # fmt: skip
+    found = with_shaken_rays(clean, camera, [there, here])  # what both partners show is the least
+    valid = clean.reason == Reason.VALID
+    added = (position_covariance(found) - position_covariance(clean))[:, valid]
+    ray = clean.position[:, valid] - camera.pose.centre()[:, None]
+    depth = camera.pose.matrix()[2] @ ray
+    wide = shaken * depth**2 / (camera.intrinsics.fx * camera.intrinsics.fy)
+    np.testing.assert_allclose(added[[0, 3, 5]].sum(axis=0), 2.0 * wide, rtol=1e-3)
+    xx, xy, xz, yy, yz, zz = added
+    x, y, z = ray / np.linalg.norm(ray, axis=0)
+    along = x * x * xx + y * y * yy + z * z * zz + 2.0 * (x * y * xy + x * z * xz + y * z * yz)
+    np.testing.assert_allclose(along / wide, 0.0, atol=1e-3)
+    own, other = (noise_covariance(one)[[0, 3, 5]][:, valid].sum(axis=0) for one in (clean, found))
+    np.testing.assert_allclose(other, own, rtol=1e-3)
+    still = replace(here, shaken=np.zeros(shape))
+    assert with_shaken_rays(clean, camera, [here, still]) is clean
+
+
+def factor(times: float, middle_px: float, sigma: float = 1e-3) -> CalibrationFactor:
+    """Return how well two cameras are known whose rays miss each other by so much everywhere."""
+    missed = MissedRays((200.0, 150.0), (100.0, 80.0), (middle_px, 0.0, 0.0), sigma, 0.01)
+    root = times * np.eye(2 * PER_SENSOR)
+    sensors = calibration().rig.sensors
+    return CalibrationFactor(
+        "C1C2", "known", sensors, (), SENSOR_PARAMETERS, root, (missed,), (STATED_PX,), times
+    )
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "times"),
+    [
+        (factor(1.0, 0.0), factor(1.0, 0.1), 6.0),  # five deviations of 0.02 px more
+        (factor(1.0, 0.0), factor(1.0, -0.1), 6.0),
+        (factor(1.0, 0.0, 0.06), factor(1.0, 0.1, 0.06), 1.0),  # by noise
+        (factor(1.0, 0.0), factor(10.0, 0.1), 10.0),  # seen in the later state alone
+        (factor(8.0, 0.2), factor(8.0, 0.2), 8.0),  # as wrong as it was
+        (factor(8.0, 0.2), factor(8.0, -0.2), 28.0),
+    ],
+)
+def test_what_has_changed_since_the_reference_counts(
+    before: CalibrationFactor, now: CalibrationFactor, times: float
+) -> None:
+    found = moved_since(before, now)
+    assert found.times == pytest.approx(times)
+    np.testing.assert_allclose(found.root, times * np.eye(2 * PER_SENSOR))
