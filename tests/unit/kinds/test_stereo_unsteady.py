@@ -87,15 +87,16 @@ def displacement_scores(output: DatasetOutput) -> Floats:
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_haze_before_either_camera_is_in_the_deviations(which: int) -> None:
-    """Waves of 0.5 px and 75 px: where nobody counted them points were off by some 30 deviations."""
-    y, x = np.indices((300, 400)).astype(np.float64)
-    images = pair(which, at_rest, 0.5 * np.sin(y / 12.0), 0.5 * np.cos(x / 12.0))
+@pytest.mark.parametrize(("high_px", "long_px"), [(0.5, 75.0), (0.1, 126.0)])
+def test_haze_before_either_camera_is_in_the_deviations(high_px: float, long_px: float, which: int) -> None:
+    """Where nobody counted the higher waves points were off by some 30 deviations."""
+    y, x = (2.0 * np.pi * axis / long_px for axis in np.indices((300, 400)))
+    images = pair(which, at_rest, high_px * np.sin(y), high_px * np.cos(x))
     surface = surface_of(replace(LATER, state="S00"), images, calibration()).records["surface"]
     exact = exposed(0, 2, curved, at_rest, 0)[1]
     found = scores(surface.position - exact, position_covariance(surface), surface.reason)
-    # Across rays haze is seen and along them it is not, so that here and there it may be twice as large.
-    assert np.sqrt(found.mean()) < 2.0
+    # As much along the rays, where it is not seen; of single matches alone 1.1 and 1.6.
+    assert 0.6 < np.sqrt(found.mean()) < 1.1
     assert found.max() < 36.0
     assert len(found) > 60_000
 
