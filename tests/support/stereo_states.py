@@ -124,9 +124,11 @@ def two_states(view: str, height: Height = curved) -> dict[str, InMemory]:
     return datasets
 
 
-def displaced(view: str, datasets: dict[str, InMemory], following: Following) -> DatasetOutput:
+def displaced(
+    view: str, datasets: dict[str, InMemory], following: Following, progress: Progress = unheard
+) -> DatasetOutput:
     """Return the displacement of a view."""
     inputs = Inputs(Subject("test", "S01", view), "S00", datasets)
-    (output,) = correlate.run(inputs, CorrelateParameters(following=following), unheard)
+    (output,) = correlate.run(inputs, CorrelateParameters(following=following), progress)
     assert isinstance(output, DatasetOutput)
     return output
