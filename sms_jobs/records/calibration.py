@@ -109,8 +109,9 @@ class CalibrationFactor:
         Of the fringes; empty for cameras.
     parameters
         Names, in the order of the root: of those that each sensor has.
-    misses
-        Of each partner of a camera, where it was looked at.
+    missed, stated_px
+        By how much each partner of a camera sees points beside the images of its rays, where that was looked
+        at, and the deviation that the calibration states of such distances, rms over the points, px.
     times
         How many times as large as the calibration states the root is, since rays contradict it.
     """
