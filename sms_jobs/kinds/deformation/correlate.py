@@ -307,7 +307,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=29,
+    version=30,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

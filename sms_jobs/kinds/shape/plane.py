@@ -96,7 +96,7 @@ def plane_of(measurement: Measurement, view: str, parameters: PlaneParameters) -
 KIND = Kind(
     name="plane",
     summary="the image of a camera alone as a surface: where the specimen is, and how large a pixel",
-    version=2,
+    version=3,
     scope=Scope.TUPLE,
     parameters=PlaneParameters,
     inputs=(_FRAMES,),

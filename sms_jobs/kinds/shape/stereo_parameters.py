@@ -51,7 +51,7 @@ class StereoParameters(Parameters):
         "calibration is not that of these images",
     )
     edge_margin_px: int = Field(
-        5,
+        3,
         ge=1,
         le=50,
         description="rim of the specimen that no subset looks at: it mixes with what lies behind, which "

@@ -69,3 +69,80 @@ def test_a_narrow_background_beside_the_border_is_background(rng: np.random.Gene
     assert found[distance > 4.0].all()
     # Where the specimen goes on beyond the image there is no outline.
     assert found[[0, -1], 40].all()
+
+
+def outside(found: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> int:
+    """Return how many pixels within a gap of the strip, and more than 1 px off, are said to be textured."""
+    distance = distance_inside()
+    return int((found & (distance < -1.0) & (distance > -2.0 * COARSEST)).sum())
+
+
+@pytest.mark.parametrize("noise", [0.2, 1.0, 4.0])
+def test_an_outline_does_not_depend_on_noise(rng: np.random.Generator, noise: float) -> None:
+    """Five deviations of 4 levels are half of this contrast, of 0.2 a fortieth."""
+    levels = strip(rng, 2.0) + rng.normal(0.0, noise, SHAPE)
+    found = textured_pixels(levels, NOISE**2 + noise**2, COARSEST)
+    quiet = textured_pixels(strip(np.random.default_rng(1), 2.0), NOISE**2, COARSEST)
+    assert abs(int(found.sum()) - int(quiet.sum())) < 0.02 * quiet.sum()
+    assert not outside(found)
+
+
+@pytest.mark.parametrize("part", [0.05, 0.1, 0.15])
+def test_what_is_far_weaker_beside_a_texture_is_none_of_it(rng: np.random.Generator, part: float) -> None:
+    """A window is reflected in a specimen and in what is plain beside it."""
+    shape, edge = (240, 320), 160
+    speckle, reflected = (ndimage.gaussian_filter(rng.normal(size=shape), 2.0) for _ in range(2))
+    beside = np.arange(shape[1]) - edge
+    levels = np.where(beside < 0, 120.0 + 40.0 * speckle / speckle.std(), 10.0)
+    levels += part * 40.0 * reflected / reflected.std() + rng.normal(0.0, 0.2, shape)
+    found = textured_pixels(levels, 0.2**2, COARSEST)
+    assert found[:, beside < -4].all()
+    assert not found[:, (beside > 2) & (beside < 2 * COARSEST)].any()
+
+
+def test_what_a_lossy_file_adds_is_none_of_the_texture(rng: np.random.Generator) -> None:
+    import cv2
+
+    grey = np.clip(np.rint(strip(rng, 2.0)), 0, 255).astype(np.uint8)
+    packed = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 40])[1]
+    unpacked = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
+    assert unpacked is not None
+    found = textured_pixels(unpacked.astype(np.float64), NOISE**2, COARSEST)
+    assert not outside(found)
+    assert found[distance_inside() > 4.0].all()
+
+
+@pytest.mark.parametrize("blur_px", [1.0, 2.0])
+def test_a_smeared_rim_is_no_wider_specimen(rng: np.random.Generator, blur_px: float) -> None:
+    levels = ndimage.gaussian_filter(strip(rng, 2.0), blur_px) + rng.normal(0.0, 0.2, SHAPE)
+    found = textured_pixels(levels, 0.2**2, COARSEST)
+    assert not found[distance_inside() < -blur_px].any()
+    assert found[distance_inside() > 3.0 + blur_px].all()
+
+
+def test_a_strong_mark_leaves_the_weaker_texture_about_it(rng: np.random.Generator) -> None:
+    """A coded target, or a printed scale, has many times the contrast of a speckle."""
+    speckle = ndimage.gaussian_filter(rng.normal(size=SHAPE), 2.0)
+    levels = 100.0 + 20.0 * speckle / speckle.std() + rng.normal(0.0, NOISE, SHAPE)
+    levels[60:90, 80:110] = 250.0 * (np.indices((30, 30)).sum(axis=0) // 10 % 2)
+    assert textured_pixels(levels, NOISE**2, COARSEST).all()
+
+
+def test_a_bright_background_leaves_the_weaker_texture_beside_it(rng: np.random.Generator) -> None:
+    """The step at the outline has many times the contrast of what ends there."""
+    speckle = ndimage.gaussian_filter(rng.normal(size=SHAPE), 2.0)
+    levels = np.where(distance_inside() > 0.0, 60.0 + 10.0 * speckle / speckle.std(), 250.0)
+    found = textured_pixels(levels + rng.normal(0.0, NOISE, SHAPE), NOISE**2, COARSEST)
+    assert found[distance_inside() > 4.0].all()
+
+
+def test_a_shaded_part_has_a_usual_texture_of_its_own(rng: np.random.Generator) -> None:
+    """Beside a shadow's edge what is weak is left out; farther inside it is measured."""
+    rows, columns = 160, 500
+    speckle = ndimage.gaussian_filter(rng.normal(size=(rows, columns)), 2.0)
+    light = np.where(np.arange(columns) < 250, 1.0, 0.2)
+    levels = light * (120.0 + 40.0 * speckle / speckle.std()) + rng.normal(0.0, 0.2, (rows, columns))
+    found = textured_pixels(levels, 0.2**2, COARSEST)
+    assert found[:, :245].all()
+    assert found[:, 260:290].mean() < 0.3
+    assert found[:, 350:].all()
