@@ -220,7 +220,7 @@ def _readings(found: list[GaugeValue], surface: Surface, parameters: GaugesParam
 KIND = Kind(
     name="gauges",
     summary="strain that virtual gauges at given places read, from stored displacement",
-    version=8,
+    version=9,
     scope=Scope.TUPLE,
     parameters=GaugesParameters,
     inputs=(_MOVED, *_REFERENCE.all),

@@ -345,7 +345,7 @@ def _statistics(seen: Sequence[_Seen], meshes: Sequence[Mesh]) -> dict[str, floa
 KIND = Kind(
     name="merge",
     summary="views of a camera merged by inverse variance, and all cameras joined into one surface",
-    version=9,
+    version=10,
     scope=Scope.STATE,
     parameters=MergeParameters,
     inputs=(_MOVED, _STRAINED, *_REFERENCE.all),

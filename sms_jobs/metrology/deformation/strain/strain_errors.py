@@ -23,6 +23,8 @@ _WIDEST = 24.0  # of a disc's radius over that of subsets: beyond, all but 4 % o
 _RIM = 1.75  # of a subset's radius: within it an edge changes the noise of a match by more than 2 %
 _MOST_SQUARES = 64  # along an image, for which noise is told
 _SAMPLES = 12  # along a square
+_ACROSS = 0.01  # of the variance along a line, that errors along it have across at most
+_LEAST = 1e-6  # of the largest variance in any direction: less is none
 _DIGITS = 3  # of the radii for which it is remembered
 
 
@@ -159,8 +161,10 @@ def shared_errors(
     matches what their own weights tell (`seen_of_match`). The part of shape is twice the cloud's covariance
     before averaging, which divides it by 5 pi radius^2 / 9 and weighs pixels by their inverse variance, so
     that what counts is their harmonic mean; the rest is of matches, of which medians about a place are taken
-    (`_medians`). Of that, twice the covariance of a matched shape is seen through the shape's subsets, and
-    the remainder through those in time: the two have an image's noise in common, which is seen between both.
+    (`_medians`). Errors of a cloud that lie along its rays are all that disturbs displacement along these
+    about a place, however many times the cloud's that is: matches move points along the surface. Of the rest
+    twice the covariance of a matched shape is seen through the shape's subsets, and the remainder through
+    those in time: the two have an image's noise in common, which is seen between both.
 
     Bias is seen as the match is. It is what the two images do not share within a subset, or what a subset
     does not follow. The former is independent where subsets do not overlap. The latter has waves of up to a
@@ -188,17 +192,21 @@ def shared_errors(
         of_cloud = seen_of_shape(averaging_radius_px / disc_radius_px)
     else:
         of_cloud = _seen_through(_averaging_weights(averaging_radius_px), window.slope())
-    excess = noise - cloud / max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
-    parts: list[tuple[Subsets | None, Floats]] = [(subsets, excess)]
+    averaged = cloud / max(5.0 * np.pi / 9.0 * averaging_radius_px**2, 1.0)
+    parts: list[tuple[Subsets | None, Floats]] = [(subsets, noise)]
     if shape is not None:
         between = 2.0 * np.asarray(shape.covariance, dtype=np.float64)
-        parts = [(shape.subsets, between), (subsets, excess - between)]
+        parts = [(shape.subsets, between), (subsets, noise - between)]
     widest = max((one.radius for one, _ in parts if one is not None), default=0)
-    known = _far_from_edges(np.asarray(np.isfinite(parts[-1][1]).all(axis=0)), widest)
+    known = _far_from_edges(np.asarray(np.isfinite(parts[-1][1] - averaged).all(axis=0)), widest)
     side = _side_of_squares(max(lengths), known.shape)
-    matched = [(one, seen(one) * _medians(part, known, side)) for one, part in parts]
+    *others, (_, rest) = [(one, _medians(part, known, side)) for one, part in parts]
+    of_shape = _medians(averaged, known, side)
+    times = _times_along_rays(of_shape, rest)
+    matched = [(one, seen(one) * part) for one, part in (*others, (subsets, rest - times * of_shape))]
     # What both have in common may make the remainder negative; their sum is not.
     told = _positive(np.sum([part for _, part in matched], axis=0))
+    cloud = _between_squares(times[None], side, known.shape) * cloud
     own = np.where(np.isfinite(noise), of_cloud * cloud, np.nan) + biased
     match = _between_squares(told, side, known.shape)
     return SharedErrors(own, match, *lengths, _shares(matched), match_margin_px)
@@ -314,6 +322,22 @@ def _medians(covariance: Floats, known: Mask, side: int) -> Floats:
         return np.zeros_like(told)
     nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     return np.asarray(told[:, *nearest])
+
+
+def _times_along_rays(part: Floats, whole: Floats) -> Floats:
+    """Return how many times covariances (6, y, x) that lie along one line are part of others, (y, x).
+
+    As often as leaves those no variance below 0 in any direction. 1 where there is nothing, or no such line.
+    """
+    of_part = np.linalg.eigvalsh(unpack(part))
+    some = (of_part[..., 2] > 0.0) & (of_part[..., 1] < _ACROSS * of_part[..., 2])
+    values, vectors = np.linalg.eigh(unpack(whole))
+    some &= values[..., 2] > 0.0
+    # In units of the root of the whole the largest eigenvalue of the part is 1 over that number.
+    root = vectors[some] / np.sqrt(np.maximum(values, _LEAST * values[..., 2:])[some])[:, None, :]
+    times = np.ones(some.shape)
+    times[some] = 1.0 / np.linalg.eigvalsh(root.swapaxes(1, 2) @ unpack(part[:, some]) @ root)[:, 2]
+    return times
 
 
 def _between_squares(told: Floats, side: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
