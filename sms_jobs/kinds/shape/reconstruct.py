@@ -148,7 +148,8 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
 
 def _told_of_gaps(reason: Reasons) -> str:
     """Return what it means that the rays of most points miss each other; empty where they do not."""
-    apart = int(np.count_nonzero(reason & Reason.LARGE_RAY_GAP))
+    lit = reason & Reason.LOW_MODULATION == 0
+    apart = int(np.count_nonzero(lit & (reason & Reason.LARGE_RAY_GAP != 0)))
     part = apart / max(apart + int(np.count_nonzero(reason == Reason.VALID)), 1)
     if part <= _MOST_APART:
         return ""

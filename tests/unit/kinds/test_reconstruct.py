@@ -219,6 +219,18 @@ def test_rays_of_most_points_that_miss_each_other_are_told(plain: Tuple, shift_p
     assert ("of the rays miss each other: a sensor has moved" in said[-1]) == told
 
 
+def test_of_what_is_not_lit_no_sensor_is_said_to_have_moved(plain: Tuple, rng: np.random.Generator) -> None:
+    shape = plain.measurement.frames.shape
+    dark = ArrayStack(rng.integers(10, 14, shape).astype(np.uint16))
+    said: list[str] = []
+    surface, _, _ = plain.reconstruct(
+        measurement=replace(plain.measurement, frames=dark),
+        progress=lambda fraction, message="": said.append(message),
+    )
+    assert (surface.reason & Reason.LARGE_RAY_GAP != 0).any()
+    assert "miss each other" not in said[-1]
+
+
 @pytest.mark.parametrize(("sigma_px", "kept"), [(0.0, 0.0), (2.0, 0.8)])
 def test_gaps_are_judged_by_what_a_calibration_says_of_itself(
     plain: Tuple, sigma_px: float, kept: float
