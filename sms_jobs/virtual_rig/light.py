@@ -7,7 +7,7 @@ projector, and light by way of a mirror. Where nothing projects there is one ret
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -132,7 +132,19 @@ def trace(simulation: Simulation, threads: int = 1) -> Light:
             )
 
     in_row_blocks(work, rows, threads)
-    return light
+    return replace(light, windows=_narrowed(windows, light.ambient))
+
+
+def _narrowed(windows: Ints, ambient: Singles) -> Ints:
+    """Return windows without the rows and columns at their edges where nothing is seen, (m, 4), in pixels."""
+    narrowed = []
+    for top, bottom, left, right in windows:
+        window = slice(SUBSAMPLES * top, SUBSAMPLES * bottom), slice(SUBSAMPLES * left, SUBSAMPLES * right)
+        seen = ambient[window] > 0.0
+        rows, columns = (np.flatnonzero(seen.any(axis)) // SUBSAMPLES for axis in (1, 0))
+        if len(rows):
+            narrowed.append((top + rows[0], top + rows[-1] + 1, left + columns[0], left + columns[-1] + 1))
+    return np.array(narrowed, dtype=np.int64).reshape(-1, 4)
 
 
 @uncounted_kernel
