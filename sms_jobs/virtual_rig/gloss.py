@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,24 @@ from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.records.scene import Gloss, Simulation
-from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named, source_centre, source_of, trace
+from sms_jobs.virtual_rig.light import (
+    SUBSAMPLES,
+    Light,
+    sensor_named,
+    source_centre,
+    source_of,
+    trace_together,
+)
 from sms_jobs.virtual_rig.truth import exact_shape
 
 
-def shining(simulation: Simulation, threads: int = 1) -> Light:
-    """Return the light of a simulated state, with the highlight of its scene if that has one."""
-    light, gloss = trace(simulation, threads), simulation.scene.gloss
-    return light if gloss is None else glossy(light, simulation, gloss, threads=threads)
+def shining(simulations: Sequence[Simulation], threads: int = 1) -> list[Light]:
+    """Return the light of what `trace_together` takes, with the highlight of its scene if that has one."""
+    lights, gloss = trace_together(simulations, threads), simulations[0].scene.gloss
+    if gloss is None:
+        return lights
+    pairs = zip(lights, simulations, strict=True)
+    return [glossy(light, simulation, gloss, threads=threads) for light, simulation in pairs]
 
 
 def glossy(light: Light, simulation: Simulation, gloss: Gloss, *, threads: int = 1) -> Light:

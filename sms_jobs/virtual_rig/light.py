@@ -7,7 +7,8 @@ projector, and light by way of a mirror. Where nothing projects there is one ret
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -98,41 +99,45 @@ def source_centre(source: Floats) -> Floats:
 
 def trace(simulation: Simulation, threads: int = 1) -> Light:
     """Follow the rays of every sub-sample of a camera to the specimen and on to the projector or the lamp."""
-    scene = simulation.scene
-    camera, source = packed_sensor(sensor_named(simulation, simulation.camera)), source_of(simulation)
-    specimen = specimen_in(scene, simulation.deformation)
+    return trace_together([simulation], threads)[0]
+
+
+def trace_together(simulations: Sequence[Simulation], threads: int = 1) -> list[Light]:
+    """Trace simulations that differ in their projectors alone: rays are followed to the specimen once."""
+    first = simulations[0]
+    scene = first.scene
+    camera = packed_sensor(sensor_named(first, first.camera))
+    sources = np.array([source_of(simulation) for simulation in simulations])
+    specimen = specimen_in(scene, first.deformation)
     prints = Prints(packed_speckle(scene.speckle), packed_ink(scene.surface))
-    windows = image_windows(scene, simulation.deformation, simulation.camera)
+    windows = image_windows(scene, first.deformation, first.camera)
     rows, columns = SUBSAMPLES * int(camera[20]), SUBSAMPLES * int(camera[19])
-    returns = 2 if isinstance(scene.surface, PlateAndMirror) and simulation.projector is not None else 1
-    shape = (returns, rows, columns)
-    light = Light(
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros(shape, np.float32),
-        np.zeros(shape[1:], np.float32),
-        windows,
-    )
+    returns = 2 if isinstance(scene.surface, PlateAndMirror) and first.projector is not None else 1
+    shape = (len(sources), returns, rows, columns)
+    x, y, strength = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.float32)
+    ambient = np.zeros((rows, columns), np.float32)
     # The distance at which a facing white surface has the strength 1.
-    distance = float(np.linalg.norm(source_centre(source) - np.array(scene.placement.translation)))
+    placed = np.array(scene.placement.translation)
+    distances = np.array([float(np.linalg.norm(source_centre(source) - placed)) for source in sources])
 
     def work(start: int, stop: int) -> None:
         for top, bottom, left, right in SUBSAMPLES * windows:
             _trace_window(
                 camera,
-                source,
+                sources,
                 specimen,
                 prints,
-                distance,
+                distances,
                 (max(start, top), min(stop, bottom), left, right),
-                light.x,
-                light.y,
-                light.strength,
-                light.ambient,
+                x,
+                y,
+                strength,
+                ambient,
             )
 
     in_row_blocks(work, rows, threads)
-    return replace(light, windows=_narrowed(windows, light.ambient))
+    windows = _narrowed(windows, ambient)
+    return [Light(*one, ambient, windows) for one in zip(x, y, strength, strict=True)]
 
 
 def _narrowed(windows: Ints, ambient: Singles) -> Ints:
@@ -150,17 +155,16 @@ def _narrowed(windows: Ints, ambient: Singles) -> Ints:
 @uncounted_kernel
 def _trace_window(
     camera: Floats,
-    source: Floats,
+    sources: Floats,
     specimen: Specimen,
     prints: Prints,
-    distance: float,
+    distances: Floats,
     window: tuple[int, int, int, int],
     x: Floats,
     y: Floats,
     strength: Singles,
     ambient: Singles,
 ) -> None:
-    returns = x.shape[0]
     top, bottom, left, right = window
     for i in range(top, bottom):
         py = (i + 0.5) / SUBSAMPLES - 0.5
@@ -199,14 +203,16 @@ def _trace_window(
             if towards < 0.0:  # the side that is seen is the side that is lit
                 nx, ny, nz = -nx, -ny, -nz
             ambient[i, j] = white
-            if source.shape[0] == LAMP:
-                strength[0, i, j] = white * lamp_light(source, distance, wx, wy, wz, nx, ny, nz)
-                continue
-            xp, yp, lit = direct_light(source, specimen, distance, wx, wy, wz, nx, ny, nz)
-            x[0, i, j], y[0, i, j], strength[0, i, j] = xp, yp, white * lit
-            if returns == 2:
-                xp, yp, lit = mirrored_light(source, specimen, distance, wx, wy, wz, nx, ny, nz)
-                x[1, i, j], y[1, i, j], strength[1, i, j] = xp, yp, white * lit
+            for n in range(sources.shape[0]):
+                source, distance = sources[n], distances[n]
+                if source.shape[0] == LAMP:
+                    strength[n, 0, i, j] = white * lamp_light(source, distance, wx, wy, wz, nx, ny, nz)
+                    continue
+                xp, yp, lit = direct_light(source, specimen, distance, wx, wy, wz, nx, ny, nz)
+                x[n, 0, i, j], y[n, 0, i, j], strength[n, 0, i, j] = xp, yp, white * lit
+                if x.shape[1] == 2:
+                    xp, yp, lit = mirrored_light(source, specimen, distance, wx, wy, wz, nx, ny, nz)
+                    x[n, 1, i, j], y[n, 1, i, j], strength[n, 1, i, j] = xp, yp, white * lit
 
 
 @inner

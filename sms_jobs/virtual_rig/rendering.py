@@ -24,10 +24,11 @@ from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncou
 from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_px
 from sms_jobs.records.gray_code import Stripes
 from sms_jobs.records.measurement import FringeSequence
-from sms_jobs.records.scene import CameraResponse, Simulation
+from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Sensor
 from sms_jobs.virtual_rig.gloss import dimmed, shining
 from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named
+from sms_jobs.virtual_rig.noise import Noise
 from sms_jobs.virtual_rig.stripes import A_PIXEL, stripe_profile
 
 Image: TypeAlias = NDArray[np.uint16]
@@ -48,24 +49,13 @@ class Rendering:
     read_noise: float
 
 
-@dataclass(frozen=True)
-class Noise:
-    """The noise of a camera in grey levels: variance = read_noise^2 + gain * level."""
-
-    full_scale: int
-    gain: float
-    read_noise: float
-
-    @classmethod
-    def of(cls, camera: CameraResponse) -> Noise:
-        """Return the noise of a camera, without that of rounding."""
-        full_scale = 2**camera.bits - 1
-        gain = full_scale / camera.full_well
-        return cls(full_scale, gain, camera.read_noise * gain)
-
-
 def render(
-    simulation: Simulation, sequence: FringeSequence, *, threads: int = 1, dimming: Singles | None = None
+    simulation: Simulation,
+    sequence: FringeSequence,
+    *,
+    threads: int = 1,
+    dimming: Singles | None = None,
+    light: Light | None = None,
 ) -> Rendering:
     """Render what a view records of a simulated state.
 
@@ -79,6 +69,8 @@ def render(
         Number of threads; the images do not depend on it.
     dimming
         (projector rows, projector columns): what every pattern is multiplied by; None for 1.
+    light
+        What `shining` gives for the simulation, if that is known.
 
     Returns
     -------
@@ -91,7 +83,7 @@ def render(
     InvalidInput
         When a projector is to be dimmed and there is none.
     """
-    light = shining(simulation, threads)
+    light = shining([simulation], threads)[0] if light is None else light
     if dimming is not None:
         if simulation.projector is None:
             raise InvalidInput(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.sessions import small_session
 
+from sms_jobs.instruments.simulated.rig import SimulatedRig
 from sms_jobs.kinds.recording.simulate import scene_at
 from sms_jobs.metrology.geometry.camera import Pose, pixel_grid, project, ray_directions
 from sms_jobs.metrology.phase.patterns import phase_gradient
@@ -25,8 +26,8 @@ from sms_jobs.records.scene import (
     Surface,
 )
 from sms_jobs.records.sensors import Rig, Sensor
-from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, Lens, aimed
-from sms_jobs.virtual_rig.light import SUBSAMPLES, trace
+from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, START, Lens, aimed
+from sms_jobs.virtual_rig.light import SUBSAMPLES, trace, trace_together
 from sms_jobs.virtual_rig.rendering import SimulatedFrames, _cosine_and_sine, render
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance, speckle_of_cell
 from sms_jobs.virtual_rig.truth import exact_shape
@@ -317,6 +318,22 @@ def test_a_frame_is_the_same_in_any_order_on_any_threads_and_in_rows() -> None:
         one.frames.frame(16)
     for start, stop in [(0, SIZE), (3, 17), (60, 70), (64, 80)]:
         np.testing.assert_array_equal(one.frames.rows(start, stop), forward[:, start:stop])
+
+
+def test_projectors_that_are_traced_together_give_what_each_gives_alone() -> None:
+    third = replace(aimed_wide(), name="P2")
+    sim = simulation(Plane(300.0, 300.0), NOISY, Speckle(20.0), sensors=(CAMERA, PROJECTOR, third))
+    both = [sim, replace(sim, projector="P2")]
+    for light, one in zip(trace_together(both), both, strict=True):
+        alone = trace(one)
+        for name in ("x", "y", "strength", "ambient", "windows"):
+            np.testing.assert_array_equal(getattr(light, name), getattr(alone, name))
+        assert (light.strength > 0.0).any()
+    rig = SimulatedRig(sim.scene, sim.state, sim.deformation, START, views=("C1P1", "C1P2"))
+    for view, one in zip(("C1P2", "C1P1"), reversed(both), strict=True):
+        recorded, rendering = rig.record(view, SEQUENCE), render(one, SEQUENCE)
+        np.testing.assert_array_equal(recorded.texture, rendering.texture)
+        np.testing.assert_array_equal(recorded.frames.frame(5), rendering.frames.frame(5))
 
 
 def bar_before_the_rig() -> Simulation:

@@ -20,7 +20,8 @@ from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.scene import CameraResponse, Scene
 from sms_jobs.records.views import Role, view_of
 from sms_jobs.virtual_rig.campaigns import START
-from sms_jobs.virtual_rig.rendering import Image, Noise
+from sms_jobs.virtual_rig.noise import Noise
+from sms_jobs.virtual_rig.rendering import Image
 
 _SPACING_MM = 2.0
 """Of the nodes: a sheet that bends by 10 mm over 500 mm is 0.5 um off between them at most."""

@@ -18,7 +18,8 @@ from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.optical_instruments import OpticalFault, ProjectorFault
 from sms_jobs.records.scene import Deformation, PanTilt, Scene, Simulation
 from sms_jobs.records.views import view_of
-from sms_jobs.virtual_rig.rendering import Noise, Rendering, render
+from sms_jobs.virtual_rig.noise import Noise
+from sms_jobs.virtual_rig.rendering import Rendering, render
 
 WHITE = -1
 """In place of a pattern's number: full brightness."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from sms_jobs.records.measurement import FringeSequence, Measurement
 from sms_jobs.records.scene import Deformation, Scene, Simulation
 from sms_jobs.records.views import view_of
+from sms_jobs.virtual_rig.gloss import shining
+from sms_jobs.virtual_rig.light import Light
 from sms_jobs.virtual_rig.rendering import render
 
 
@@ -28,6 +30,8 @@ class SimulatedRig:
         The time that its measurements bear.
     threads
         For rendering; the measurements do not depend on it.
+    views
+        That are to be recorded: rays of a camera are followed once for all of its views.
     """
 
     scene: Scene
@@ -35,6 +39,8 @@ class SimulatedRig:
     deformation: tuple[Deformation, ...]
     recorded_at: datetime
     threads: int = 1
+    views: tuple[str, ...] = ()
+    _lights: dict[str, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def record(
         self, view: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
@@ -43,8 +49,9 @@ class SimulatedRig:
 
         Of a camera alone, for which nothing is projected, the white frame is the only one.
         """
-        simulation = Simulation.of(self.scene, view_of(view), self.deformation, self.state)
-        rendering = render(simulation, sequence, threads=self.threads, dimming=dimming)
+        simulation = self._simulation(view)
+        light = self._light(view)
+        rendering = render(simulation, sequence, threads=self.threads, dimming=dimming, light=light)
         return Measurement(
             self.recorded_at,
             FringeSequence() if simulation.projector is None else sequence,
@@ -56,3 +63,20 @@ class SimulatedRig:
             simulation,
             dimming,
         )
+
+    def _simulation(self, view: str) -> Simulation:
+        return Simulation.of(self.scene, view_of(view), self.deformation, self.state)
+
+    def _light(self, view: str) -> Light:
+        """Return what reaches the camera of a view; that of one camera is kept until another is asked for."""
+        if view not in self._lights:
+            asked = self._simulation(view)
+            together = {view: asked}
+            for other in self.views:
+                simulation = self._simulation(other)
+                if simulation.camera == asked.camera and simulation.projector and asked.projector:
+                    together[other] = simulation
+            self._lights.clear()
+            lights = shining(list(together.values()), self.threads)
+            self._lights.update(zip(together, lights, strict=True))
+        return self._lights[view]

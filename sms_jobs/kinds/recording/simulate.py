@@ -136,7 +136,9 @@ def run(inputs: Inputs, parameters: SimulateParameters, progress: Progress) -> I
             f"{inputs.subject.campaign}, whose views are recorded by {', '.join(task.views)}: set "
             "adaptive=none, and the exposure under [scene.camera] of its plan"
         )
-    rig: Recorder = SimulatedRig(task.scene, task.state, task.deformation, task.recorded_at, inputs.threads)
+    rig: Recorder = SimulatedRig(
+        task.scene, task.state, task.deformation, task.recorded_at, inputs.threads, task.views
+    )
     for number, view in enumerate(task.views):
         progress(number / len(task.views), f"recording {view}")
         measurement = _recorded(rig, task, view, parameters, inputs.threads)

@@ -28,7 +28,8 @@ from sms_jobs.records.scene import Cylinder, Gloss, Simulation
 from sms_jobs.virtual_rig.campaigns import small_plate
 from sms_jobs.virtual_rig.gloss import dimmed, glossy
 from sms_jobs.virtual_rig.light import Light, trace
-from sms_jobs.virtual_rig.rendering import Noise, SimulatedFrames
+from sms_jobs.virtual_rig.noise import Noise
+from sms_jobs.virtual_rig.rendering import SimulatedFrames
 from sms_jobs.virtual_rig.truth import exact_shape
 
 FULL_SCALE = 4095
