@@ -18,7 +18,7 @@ from sms_jobs.records.quantity import Axes, LengthUnit
 
 ROWS_AT_ONCE = 5_000
 """Points that are turned into bytes at once: a MiB or two, however many there are in all."""
-_NUMBERS_AT_ONCE = 20_000
+_NUMBERS_AT_ONCE = 2_000
 """Numbers that are turned into text at once: as much."""
 
 
@@ -148,9 +148,14 @@ def write_rows(
     With `places`, only the rows at these places.
     """
     line, columns = form + "\n", list(columns)
+    width = len(columns)
     count = len(columns[0]) if places is None else len(places)
-    rows = max(1, _NUMBERS_AT_ONCE // len(columns))
+    rows = max(1, _NUMBERS_AT_ONCE // width)
     for start in range(0, count, rows):
         some = slice(start, start + rows) if places is None else places[start : start + rows]
         part = [column[some].tolist() for column in columns]
-        stream.write("".join([line % row for row in zip(*part, strict=True)]))
+        together: list[Any] = [None] * (width * len(part[0]))
+        for place, values in enumerate(part):
+            together[place::width] = values
+        # Many lines by one format take a fifth less time than each by its own.
+        stream.write((line * len(part[0])) % tuple(together))
