@@ -90,31 +90,37 @@ def _check_connected(problem: BundleProblem) -> None:
 
 def _check_labels(problem: BundleProblem, packed: Packed) -> None:
     """Raise where the points labelled as one sphere lie on the other."""
-    rotation, translation, lens = sensor_arrays(tuple((s.intrinsics, s.pose) for s in problem.sensors))
+    sensors = sensor_arrays(tuple((s.intrinsics, s.pose) for s in problem.sensors))
     for block in packed.bars:
         held = problem.bar_poses[block.pose]
         if not np.all(np.isfinite(held.centres)):
             continue
         step = max(1, (block.stop - block.start) // _LOOKED_AT)
-        spheres = np.column_stack([held.centres, np.full(2, problem.bars[held.bar].radius_mm)])
-        off = np.array(
-            [
-                [
-                    ray_distances(rotation, translation, lens, block.sensors, o[:4].reshape(2, 2), s)[1]
-                    for s in spheres
-                ]
-                for o in packed.bar_observed[block.start : block.stop : step]
-            ]
-        )
-        with np.errstate(invalid="ignore"):
-            own, other = np.nanmedian(np.abs(off), axis=0)[[block.sphere, 1 - block.sphere]]
-        if own > 2.0 * spheres[0, 3] and other < 0.25 * own:
+        seen = packed.bar_observed[block.start : block.stop : step, :4].reshape(-1, 2, 2)
+        radius = problem.bars[held.bar].radius_mm
+        own = _median_off(sensors, block.sensors, seen, held.centres[block.sphere], radius)
+        if own <= 2.0 * radius:
+            continue
+        other = _median_off(sensors, block.sensors, seen, held.centres[1 - block.sphere], radius)
+        if other < 0.25 * own:
             pair = "".join(problem.sensors[s].name for s in block.sensors)
             raise CalibrationFailed(
                 f"the spheres of pose {held.name} are swapped in pair {pair}: points labelled "
                 f"{block.sphere + 1} lie {own:.1f} mm off that sphere and {other:.1f} mm off the other; "
                 "exchange the labels, or leave the pose out"
             )
+
+
+def _median_off(
+    sensors: tuple[Floats, Floats, Floats],
+    pair: tuple[int, int],
+    seen: Floats,
+    centre: Floats,
+    radius_mm: float,
+) -> float:
+    """Return how far points lie off a sphere, in mm, in the median over what a pair has seen, (n, 2, 2)."""
+    sphere = np.append(centre, radius_mm)
+    return float(np.nanmedian([abs(ray_distances(*sensors, pair, pixels, sphere)[1]) for pixels in seen]))
 
 
 def check_counts(problem: BundleProblem, packed: Packed, live: Live, freedom: Freedom) -> None:
