@@ -17,6 +17,7 @@ from sms_jobs.metrology.calibration.bundle.residuals import (
     board_rows,
     meet_sphere,
     ray_distances,
+    room_of_sphere,
     sphere_rows,
 )
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, Pose, project, projection_jacobian, ray_directions
@@ -86,12 +87,13 @@ def test_sphere_derivatives_are_finite_differences(offset: tuple[float, float, f
         out = np.empty(2)
         sphere_rows(
             rotation, translation, lens, (0, 1), camera_px, parameters[-4:], FLATTEST, out,
-            np.zeros((2, SPHERE_SIZE)), np.empty(2),
+            np.zeros((2, SPHERE_SIZE)), np.empty(2), room_of_sphere(),
         )  # fmt: skip
         return out
 
     at = np.concatenate([SENSORS.ravel(), SPHERE])
-    cosine = sphere_rows(*arrays(SENSORS), (0, 1), camera_px, SPHERE, FLATTEST, pixel, rows, along)
+    room = room_of_sphere()
+    cosine = sphere_rows(*arrays(SENSORS), (0, 1), camera_px, SPHERE, FLATTEST, pixel, rows, along, room)
     assert FLATTEST < cosine <= 1.0
     wanted = slopes(predicted, at, np.concatenate([0.1 * STEPS, STEPS, np.full(4, 1e-2)]))
     # The lens is undone to 1e-12 of the focal length, 2e-9 px, over 0.1 px; grazing grows it tenfold.
@@ -228,6 +230,7 @@ def test_the_way_in_the_projector_is_gap_and_surface_residual_whitened(rng: np.r
         pixel,
         np.zeros((2, SPHERE_SIZE)),
         np.empty(2),
+        room_of_sphere(),
     )
 
     def distances(projector_px: Floats) -> Floats:

@@ -19,7 +19,7 @@ from sms_jobs.metrology.calibration.bundle.rays import (
     ray,
     to_sensor,
 )
-from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel, variable
+from sms_jobs.metrology.compilation import inlined, inner, kernel, uncounted_kernel, variable
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, by_point, distorted
@@ -82,7 +82,7 @@ def ray_distances(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats) -> tuple[float, float]:
     """Return where a ray s u meets a sphere about c, s, and the cosine of its incidence; fill derivatives.
 
@@ -91,7 +91,7 @@ def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats
     root is continued by its tangent, so that rays that (still) miss the sphere have a place too; the cosine
     is 0 for those.
     """
-    across = np.empty(3)
+    across = by[2]  # until the end, so that nothing is made for each point
     uu = dot(u, u)
     middle, length = dot(u, c) / uu, np.sqrt(uu)
     for i in range(3):
@@ -108,8 +108,14 @@ def meet_sphere(c: Floats, u: Floats, radius: float, flattest: float, by: Floats
     return middle - radius * root / length, cosine
 
 
+@inlined
+def room_of_sphere() -> tuple[Floats, Floats, Floats]:
+    """Return room for what `sphere_rows` finds on its way: to make it for each point took twice as long."""
+    return np.empty(6), np.empty((2, PER_LENS)), np.empty((11, 3))
+
+
 @inner
-@kernel
+@uncounted_kernel
 def sphere_rows(
     rotation: Floats,
     translation: Floats,
@@ -121,16 +127,18 @@ def sphere_rows(
     pixel: Floats,
     rows: Floats,
     along: Floats,
+    room: tuple[Floats, Floats, Floats],
 ) -> float:
     """Find the projector's pixel that lights what a camera's pixel sees of a sphere; fill derivatives.
 
     Fills `pixel` (2,), `rows` (2, parameters) with its derivatives by them, and `along` (2,) with its
-    direction along the camera's ray. Returns the cosine of the camera's ray with the surface; NaN where
-    there is no ray or where the sphere lies behind a sensor.
+    direction along the camera's ray; works in `room`, from `room_of_sphere`. Returns the cosine of the
+    camera's ray with the surface; NaN where there is no ray or where the sphere lies behind a sensor.
     """
     camera, projector = pair
-    inner, turn, u, hole, c = np.empty(6), np.empty((2, PER_LENS)), np.empty(3), np.empty(3), np.empty(3)
-    by_along, by, point, slope = np.empty((3, 3)), np.empty((2, 3)), np.empty(3), np.empty((2, 3))
+    inner, turn, vectors = room
+    u, hole, c, point = vectors[0], vectors[1], vectors[2], vectors[3]
+    by_along, by, slope = vectors[4:7], vectors[7:9], vectors[9:11]
     if not ray(rotation[camera], lens[camera], camera_px, inner, turn, u):
         return np.nan
     pin_hole(rotation[camera], translation[camera], hole)
@@ -186,11 +194,11 @@ def sphere_block(
     epsilon_1, along it it brings the point onto the sphere, epsilon_2.
     """
     rows, along, pixel = np.zeros((2, SPHERE_SIZE)), np.empty(2), np.empty(2)
-    turned = np.zeros((2, SPHERE_SIZE))
+    turned, room = np.zeros((2, SPHERE_SIZE)), room_of_sphere()
     cost = 0.0
     for i in range(len(observed)):
         cosine = sphere_rows(
-            rotation, translation, lens, pair, observed[i, :2], sphere, flattest, pixel, rows, along
+            rotation, translation, lens, pair, observed[i, :2], sphere, flattest, pixel, rows, along, room
         )
         found[i, 2], found[i, 3] = cosine, 0.0
         sx, sy = 1.0 / observed[i, 4], 1.0 / observed[i, 5]
@@ -233,13 +241,11 @@ def project_rows(
     `rows` (2, parameters) are the derivatives by those of the sensor, `slope` (2, 3) those by the point, in
     px/mm in the world.
     """
-    turned, inside = np.empty(3), np.empty(3)
-    for i in range(3):
-        turned[i] = rotation[i, 0] * world[0] + rotation[i, 1] * world[1] + rotation[i, 2] * world[2]
-        inside[i] = turned[i] + translation[i]
-    if not inside[2] > 0.0:
+    tx, ty, tz = dot(rotation[0], world), dot(rotation[1], world), dot(rotation[2], world)
+    depth = tz + translation[2]
+    if not depth > 0.0:
         return False
-    x, y = inside[0] / inside[2], inside[1] / inside[2]
+    x, y = (tx + translation[0]) / depth, (ty + translation[1]) / depth
     bent = distorted(lens, x, y)
     xx, xy, yx, yy = by_point(lens, x, y)
     by_parameters(lens, x, y, rows[:, PER_POSE + PIN_HOLE : PER_SENSOR])
@@ -247,9 +253,11 @@ def project_rows(
         f, row = lens[i], rows[i]
         to_x, to_y = (xx, xy) if i == 0 else (yx, yy)
         pixel[i] = f * bent[i] + lens[2 + i]
-        row[3], row[4] = f * to_x / inside[2], f * to_y / inside[2]
+        row[3], row[4] = f * to_x / depth, f * to_y / depth
         row[5] = -(row[3] * x + row[4] * y)
-        cross(turned, row[3:6], row[0:3])
+        row[0] = ty * row[5] - tz * row[4]
+        row[1] = tz * row[3] - tx * row[5]
+        row[2] = tx * row[4] - ty * row[3]
         row[6], row[7], row[8], row[9] = 0.0, 0.0, 0.0, 0.0
         row[6 + i], row[8 + i] = bent[i], 1.0
         for k in range(PER_POSE + PIN_HOLE, PER_SENSOR):
