@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, inlined, kernel, uncounted_kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel
 from sms_jobs.metrology.phase.patterns import direction, fringe_harmonics, span_px
 from sms_jobs.records.gray_code import Stripes
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import Simulation
 from sms_jobs.records.sensors import Sensor
+from sms_jobs.virtual_rig.fringes import add_fringes
 from sms_jobs.virtual_rig.gloss import dimmed, shining
 from sms_jobs.virtual_rig.light import SUBSAMPLES, Light, sensor_named
 from sms_jobs.virtual_rig.noise import Noise
@@ -113,7 +114,7 @@ class SimulatedImage:
         self._ambient = simulation.scene.camera.ambient
         self._spread = _pixel_weights(simulation.scene.camera.blur_px)
         self._seed = _noise_seed(simulation)
-        self._steady = self._imaged(self._steady_light, 2, 0, self.shape[1])
+        self._steady = self._image(self._steady_light, np.zeros((2, *self.shape[1:]), np.float32), 0)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -150,15 +151,14 @@ class SimulatedImage:
         white = self._light.strength[:, top:bottom, left:right].sum(axis=0)
         return np.stack([white, np.float32(self._ambient) * self._light.ambient[top:bottom, left:right]])
 
-    def _imaged(self, light_in: Callable[[Window], Singles], count: int, start: int, stop: int) -> Singles:
-        """Return rows of images in grey levels, 0 where nothing is lit.
+    def _image(self, light_in: Callable[[Window], Singles], out: Singles, start: int) -> Singles:
+        """Fill rows `start` and on of images, in grey levels, where anything is lit; return them.
 
         `light_in` gives all of them in a window of sub-samples; they are blurred and averaged over pixels.
         """
         _, rows, columns = self.shape
         reach = (len(self._spread) - SUBSAMPLES) // 2
         margin = -(-reach // SUBSAMPLES)
-        out = np.zeros((count, stop - start, columns), np.float32)
 
         def work(first: int, last: int) -> None:
             for top, bottom, left, right in self._light.windows.tolist():
@@ -177,7 +177,7 @@ class SimulatedImage:
                 images = light_in(samples)
                 _average_over_pixels(images, self._spread, self._white_level, before, window, out)
 
-        in_row_blocks(work, stop - start, self._threads)
+        in_row_blocks(work, out.shape[1], self._threads)
         return out
 
     def _recorded(self, images: Singles, weights: Sequence[float] | Floats, index: int, start: int) -> Image:
@@ -289,12 +289,15 @@ class SimulatedFrames(SimulatedImage):
             top, bottom, left, right = samples
             images = np.zeros((2 * len(harmonics) - 2, bottom - top, right - left), np.float32)
             light = self._light
-            _add_fringes(light.x, light.y, light.strength, samples, turns, harmonics, images)
+            add_fringes(light.x, light.y, light.strength, samples, turns, harmonics, images)
             return images
 
         white, ambient = self._steady[:, start:stop]
-        mean = np.float32(harmonics[0]) * white + ambient
-        return np.concatenate([mean[None], self._imaged(fringes, 2 * len(harmonics) - 2, start, stop)])
+        images = np.zeros((2 * len(harmonics) - 1, *white.shape), np.float32)
+        np.multiply(np.float32(harmonics[0]), white, out=images[0])
+        images[0] += ambient
+        self._image(fringes, images[1:], start)
+        return images
 
     def _stripe_images(self, stripes: Stripes, start: int, stop: int) -> Singles:
         """Return rows of the images whose sum is a pattern of a Gray code: its light and ambient light."""
@@ -312,7 +315,10 @@ class SimulatedFrames(SimulatedImage):
             shown = self._light.strength[window] * profile[place]
             return np.asarray(shown.sum(axis=0, dtype=np.float32)[None])
 
-        return np.concatenate([self._imaged(light_of, 1, start, stop), self._steady[1:, start:stop]])
+        images = self._steady[:, start:stop].copy()
+        images[0] = 0.0
+        self._image(light_of, images[:1], start)
+        return images
 
 
 def _noise_seed(simulation: Simulation) -> int:
@@ -329,49 +335,6 @@ def _pixel_weights(blur_px: float) -> Floats:
     gauss = np.exp(-0.5 * (offsets / sigma) ** 2) if sigma > 0.0 else np.ones(1)
     weights = np.convolve(gauss, np.ones(SUBSAMPLES))
     return np.asarray(weights / weights.sum())
-
-
-@inlined
-def _cosine_and_sine(turns: float) -> tuple[float, float]:
-    """Return cosine and sine of an angle in turns, without branches, so that a loop works on several at once.
-
-    Taylor's series about the nearest quarter of a turn, of which 3e-18 is left out at the most.
-    """
-    quarters = np.floor(4.0 * turns + 0.5)
-    angle = 2.0 * pi * (turns - 0.25 * quarters)
-    squared = angle * angle
-    cosine = sine = 1.0
-    for k in range(9, 0, -1):
-        cosine = 1.0 - squared * (1.0 / (2 * k * (2 * k - 1))) * cosine
-        sine = 1.0 - squared * (1.0 / (2 * k * (2 * k + 1))) * sine
-    sine *= angle
-    quarters -= 4.0 * np.floor(0.25 * quarters)
-    odd = quarters == 1.0 or quarters == 3.0
-    x, y = (sine, cosine) if odd else (cosine, sine)
-    return (-x if 0.5 < quarters < 2.5 else x), (-y if quarters > 1.5 else y)
-
-
-@uncounted_kernel
-def _add_fringes(
-    x: Floats,
-    y: Floats,
-    strength: Singles,
-    samples: Window,
-    turns: Floats,
-    harmonics: Floats,
-    out: Singles,
-) -> None:
-    """Add strength x c_n cos(n phase) and c_n sin(n phase) to the images of a window of sub-samples."""
-    top, bottom, left, right = samples
-    for r in range(x.shape[0]):
-        for i in range(top, bottom):
-            for n in range(1, harmonics.shape[0]):
-                for j in range(left, right):
-                    light = strength[r, i, j] * harmonics[n]
-                    phase = n * (turns[0] * x[r, i, j] + turns[1] * y[r, i, j] + turns[2])
-                    cosine, sine = _cosine_and_sine(phase)
-                    out[2 * n - 2, i - top, j - left] += light * cosine
-                    out[2 * n - 1, i - top, j - left] += light * sine
 
 
 @kernel

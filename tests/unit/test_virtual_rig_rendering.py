@@ -27,8 +27,9 @@ from sms_jobs.records.scene import (
 )
 from sms_jobs.records.sensors import Rig, Sensor
 from sms_jobs.virtual_rig.campaigns import CAMERA_LENS, PROJECTOR_LENS, START, Lens, aimed
+from sms_jobs.virtual_rig.fringes import cosine_and_sine
 from sms_jobs.virtual_rig.light import SUBSAMPLES, trace, trace_together
-from sms_jobs.virtual_rig.rendering import SimulatedFrames, _cosine_and_sine, render
+from sms_jobs.virtual_rig.rendering import SimulatedFrames, render
 from sms_jobs.virtual_rig.speckle import packed_speckle, reflectance, speckle_of_cell
 from sms_jobs.virtual_rig.truth import exact_shape
 
@@ -365,7 +366,7 @@ def test_what_lies_beyond_the_windows_is_as_if_it_had_been_looked_at(shown: str)
 
 def test_cosine_and_sine_are_right_to_rounding() -> None:
     for turns in [*np.linspace(-40.0, 40.0, 2003).tolist(), *(np.arange(-16, 17) / 8.0).tolist()]:
-        cosine, sine = _cosine_and_sine.py_func(turns)  # type: ignore[attr-defined]
+        cosine, sine = cosine_and_sine.py_func(turns)  # type: ignore[attr-defined]
         # Whole turns are taken off without rounding; what is left is rounded once, and so are its functions.
         angle = 2.0 * pi * (turns - round(turns))
         assert cosine == pytest.approx(np.cos(angle), abs=2.0**-50)
