@@ -146,3 +146,15 @@ def test_a_shaded_part_has_a_usual_texture_of_its_own(rng: np.random.Generator) 
     assert found[:, :245].all()
     assert found[:, 260:290].mean() < 0.3
     assert found[:, 350:].all()
+
+
+def test_what_is_usual_of_dots_is_told_through_the_gaps_between_them(rng: np.random.Generator) -> None:
+    """Dots 18 px apart on plain paint, before a background with a weak texture of its own."""
+    shape, edge = (240, 320), 165
+    row, column = np.mgrid[0 : shape[0], 0 : shape[1]]
+    dots = np.hypot(row % 18 - 9, column % 18 - 9) < 4.0
+    behind = ndimage.gaussian_filter(rng.normal(size=shape), 2.0)
+    levels = np.where(column < edge, np.where(dots, 30.0, 140.0), 40.0 + 4.0 * behind / behind.std())
+    found = textured_pixels(levels + rng.normal(0.0, 0.2, shape), 0.2**2, COARSEST)
+    assert found[30:-30, 30 : edge - 15].all()
+    assert not found[:, edge + 3 : edge + 2 * COARSEST].any()
