@@ -78,7 +78,8 @@ def typed(text: str, what: str) -> Typed:
     found = _TYPED.fullmatch(text)
     if found is None:
         raise InvalidInput(
-            f"{what} is '{text}', which is no quantity: write a number and its unit, such as 10s"
+            f"{what} is '{text}', which is no quantity: write a number and its unit, such as 10s, 0.5mm "
+            "or 20kN"
         )
     return Typed(text.strip(), float(found["number"]), found["unit"] or "")
 

@@ -35,7 +35,7 @@ def test_a_unit_is_converted_within_its_family(text: str, unit: str, number: flo
         ("5mN", "N", "'mN' is no unit of it"),
         ("5kn", "N", "'kn' is no unit of it"),
         ("5K", "degC", "'K' is no unit of it: write it in degC"),
-        ("kN", "N", "is no quantity"),
+        ("kN", "N", "is no quantity: write a number and its unit, such as 10s, 0.5mm or 20kN"),
         ("", "N", "is no quantity"),
         ("1,5kN", "N", "'.5kN' is no unit|no unit of it|is no quantity"),
         ("nan N", "N", "is no quantity"),
