@@ -77,14 +77,18 @@ def outside(found: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> int:
     return int((found & (distance < -1.0) & (distance > -2.0 * COARSEST)).sum())
 
 
-@pytest.mark.parametrize("noise", [0.2, 1.0, 4.0])
-def test_an_outline_does_not_depend_on_noise(rng: np.random.Generator, noise: float) -> None:
-    """Five deviations of 4 levels are half of this contrast, of 0.2 a fortieth."""
-    levels = strip(rng, 2.0) + rng.normal(0.0, noise, SHAPE)
-    found = textured_pixels(levels, NOISE**2 + noise**2, COARSEST)
-    quiet = textured_pixels(strip(np.random.default_rng(1), 2.0), NOISE**2, COARSEST)
-    assert abs(int(found.sum()) - int(quiet.sum())) < 0.02 * quiet.sum()
-    assert not outside(found)
+def test_an_outline_does_not_depend_on_noise(rng: np.random.Generator) -> None:
+    """A tenth of a pixel along 508 px of outline, which a lens blurs by 1 px.
+
+    Told by five deviations of noise alone it is 0.8 px wider with a third of the noise.
+    """
+    light = ndimage.gaussian_filter(strip(rng, 2.0), 1.0)
+    areas = []
+    for noise in (0.3, 1.0):
+        found = textured_pixels(light + rng.normal(0.0, noise, SHAPE), noise**2, COARSEST)
+        assert not outside(found)
+        areas.append(int(found.sum()))
+    assert abs(areas[0] - areas[1]) < 0.1 * 508
 
 
 @pytest.mark.parametrize("part", [0.05, 0.1, 0.15])
@@ -137,7 +141,11 @@ def test_a_bright_background_leaves_the_weaker_texture_beside_it(rng: np.random.
 
 
 def test_a_shaded_part_has_a_usual_texture_of_its_own(rng: np.random.Generator) -> None:
-    """Beside a shadow's edge what is weak is left out; farther inside it is measured."""
+    """Beside a shadow's edge what is weak is left out; farther inside it is measured.
+
+    It has 0.04 of the variance. Some windows happen to show 3.5 times as much, and gaps between them are
+    closed: all of it is texture by noise alone, a fifth is left here, and three tenths are allowed.
+    """
     rows, columns = 160, 500
     speckle = ndimage.gaussian_filter(rng.normal(size=(rows, columns)), 2.0)
     light = np.where(np.arange(columns) < 250, 1.0, 0.2)
