@@ -21,6 +21,7 @@ from sms_jobs.metrology.calibration.point_factor import (
     point_factor,
     sigma_of,
     square_root,
+    turns,
 )
 from sms_jobs.metrology.deformation.fields.rigid_motion import RigidMotion, common_factor
 from sms_jobs.metrology.deformation.strain.common_errors import (
@@ -51,28 +52,28 @@ _BLOCKS_OF_STRAIN = 32  # along the longer side: strain is that of a disc, and e
 
 def calibration_factor(
     inputs: Inputs, port: Port, calibration: Calibration, orientations_rad: tuple[float, ...] = ()
-) -> CalibrationFactor | None:
-    """Return how well the sensors of the job's view are known; None where the calibration does not say."""
-    if not inputs.has(port, UNCERTAINTY):
-        return None
-    uncertainty = inputs.read(port, UNCERTAINTY)
-    root = square_root(uncertainty.of(uncertainty.sensors))
-    if not root.shape[1]:
-        return None
+) -> CalibrationFactor:
+    """Return how well the sensors of the job's view are known; without columns where nobody says."""
     names = inputs.view.triangulating
-    rows = [PER_SENSOR * uncertainty.sensors.index(name) + np.arange(PER_SENSOR) for name in names]
+    root = np.zeros((PER_SENSOR * len(names), 0))
+    uncertainty = inputs.read(port, UNCERTAINTY) if inputs.has(port, UNCERTAINTY) else None
+    if uncertainty is not None:
+        rows = [PER_SENSOR * uncertainty.sensors.index(name) + np.arange(PER_SENSOR) for name in names]
+        root = square_root(uncertainty.of(uncertainty.sensors))[np.concatenate(rows)]
     return CalibrationFactor(
         str(inputs.view),
         _named(calibration, uncertainty),
         tuple(calibration.rig.sensor(name) for name in names),
         orientations_rad,
         SENSOR_PARAMETERS,
-        root[np.concatenate(rows)],
+        root,
     )
 
 
-def _named(calibration: Calibration, uncertainty: CalibrationUncertainty) -> str:
+def _named(calibration: Calibration, uncertainty: CalibrationUncertainty | None) -> str:
     """Return what names a calibration by what is in it."""
+    if uncertainty is None:
+        return hashlib.sha256(repr(calibration.rig.sensors).encode()).hexdigest()
     known = hashlib.sha256(repr((calibration.rig.sensors, uncertainty.sensors)).encode())
     known.update(uncertainty.covariance.tobytes())
     return known.hexdigest()
@@ -92,22 +93,27 @@ def known_view(factor: CalibrationFactor) -> KnownView:
 def moved_since(reference: CalibrationFactor, deformed: CalibrationFactor) -> CalibrationFactor:
     """Return how well sensors are known at a deformed state, beside the reference state.
 
-    What one calibration is wrong by in both states nearly cancels in a displacement, unless a camera has
-    moved in between. Then it has changed by how much matches miss the images of their rays. Nobody knows what
-    has changed along these images: it is taken to be as many deviations of the calibration.
+    What one calibration is wrong by in both states nearly cancels in a displacement, unless a sensor has
+    moved in between. Then it has changed by how much rays are missed. Nobody knows which sensor has turned,
+    and nothing is seen of turns that move what it sees along these images: all are taken to have, about both
+    axes.
     """
     if reference.calibration != deformed.calibration:
         return deformed
-    each = zip(reference.missed, deformed.missed, deformed.stated_px, strict=False)
-    changes = (now.change_px(before) / stated for before, now, stated in each if stated > 0.0)
-    times = reference.times + max(changes, default=0.0)
-    if times <= deformed.times:
-        return deformed
-    return replace(deformed, root=times / deformed.times * deformed.root, times=times)
+    each = zip(reference.missed, deformed.missed, strict=False)
+    change = max((now.change_px(before) for before, now in each), default=0.0)
+    # That rays contradict the calibration at the deformed state alone is in its root, and does not cancel.
+    counted = (deformed.times - reference.times) * max(deformed.stated_px, default=0.0)
+    return replace(deformed, turned_px=float(np.sqrt(max(0.0, change**2 - counted**2))))
 
 
-def position_sigma(factor: CalibrationFactor, surface: Surface) -> Singles:
-    """Return the calibration's part of the standard deviation of positions, (3, rows, columns) in mm."""
+def position_sigma(factor: CalibrationFactor, surface: Surface) -> Singles | None:
+    """Return the calibration's part of the standard deviation of positions, (3, rows, columns) in mm.
+
+    None where the calibration states nothing.
+    """
+    if not factor.is_stated:
+        return None
     samples = sample_blocks(surface.reason == Reason.VALID)
     view = economical(known_view(factor))
     return spread(samples, sigma_of(point_factor(view, _at(samples, surface.position))).T)
@@ -254,16 +260,18 @@ def merged_sigma(
     (3, rows, columns) in mm. What views have in common, as all that one calibration says, adds up as such.
     """
     samples = sample_blocks(valid)
-    total: dict[str, Floats] = {}
-    for (states, surface, moved), weight in zip(views, weights, strict=True):
+    total: dict[tuple[str, int], Floats] = {}
+    for number, ((states, surface, moved), weight) in enumerate(zip(views, weights, strict=True), start=1):
         share = weight[samples.pixels]
         seen = share > 0.0
         place, shift = (_at(samples, field)[seen] for field in (surface.position, moved.displacement))
         ends = ((states[0], place, -share[seen]), (states[1], place + shift, share[seen]))
         for view, points, signed in ends:
-            factor = point_factor(view, points)
-            sums = total.setdefault(view.calibration, np.zeros((len(samples.rows), 3, factor.shape[2])))
-            sums[seen] += signed[:, None, None] * factor
+            factor = signed[:, None, None] * point_factor(view, points)
+            common, own = np.split(factor, [factor.shape[2] - view.own], axis=2)
+            for of, columns in ((0, common), (number, own)):
+                nothing = np.zeros((len(samples.rows), 3, columns.shape[2]))
+                total.setdefault((view.calibration, of), nothing)[seen] += columns
     return spread(samples, np.sqrt(sum(sigma_of(sums) ** 2 for sums in total.values())).T)
 
 
@@ -297,8 +305,12 @@ def states_of(inputs: Inputs, port: Port, about: Subject | None = None) -> State
 
 
 def states_from(reference: CalibrationFactor, deformed: CalibrationFactor) -> States:
-    """Return how well a view was known in both states."""
-    return known_view(reference), known_view(deformed)
+    """Return how well a view was known in both states, with what has turned in between."""
+    before, after = known_view(reference), known_view(deformed)
+    if deformed.turned_px == 0.0:
+        return before, after
+    turned = deformed.turned_px * turns(after.sensors)
+    return before.with_own(np.zeros_like(turned)), after.with_own(turned)
 
 
 def median_part(sigma: Singles | None, unit: str) -> dict[str, float]:

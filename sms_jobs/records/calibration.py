@@ -95,7 +95,7 @@ class CalibrationFactor:
     """How well the sensors of a view are known, as `metrology.calibration.point_factor` takes it.
 
     It stands beside what was measured with them. Columns of the root mean the same for all views of one
-    calibration, and none are there where it says nothing of itself.
+    calibration; there are none where it says nothing of itself.
 
     Attributes
     ----------
@@ -114,6 +114,9 @@ class CalibrationFactor:
         at, and the deviation that the calibration states of such distances, rms over the points, px.
     times
         How many times as large as the calibration states the root is, since rays contradict it.
+    turned_px
+        By how much sensors have turned since the reference state, beyond what the root says, as far as rays
+        tell.
     """
 
     view: str
@@ -127,6 +130,12 @@ class CalibrationFactor:
     missed: tuple[MissedRays, ...] = ()
     stated_px: tuple[float, ...] = ()
     times: float = 1.0
+    turned_px: float = 0.0
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the calibration says how well the sensors are known."""
+        return bool(self.root.shape[1])
 
 
 @dataclass(frozen=True)

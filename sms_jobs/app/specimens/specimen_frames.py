@@ -155,7 +155,7 @@ def _on_surface(services: Services, campaign: Campaign, choice: Choice) -> Speci
     with services.archive.open(found) as dataset:
         surface = SURFACE.read(dataset)
         factor = CALIBRATION_FACTOR.read_if_there(dataset)
-    known_by = None if factor is None else known_view(factor)
+    known_by = known_view(factor) if factor and factor.is_stated else None
     image = _texture(services, about) if choice.markers else None
     return Finder(surface, known_by, image, choice).frame(found.content_hash)
 

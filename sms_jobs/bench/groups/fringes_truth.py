@@ -23,8 +23,10 @@ from sms_jobs.bench.fringes.fringe_mishaps import (
     reconstructed,
     silent_points,
 )
+from sms_jobs.bench.fringes.moved_sensors import panel_seen
 from sms_jobs.bench.fringes.plate_before_wall import random_scene, record
 from sms_jobs.bench.fringes.plate_before_wall import reconstructed as reconstructed_scene
+from sms_jobs.bench.sessions.bar_session import MANY_SESSIONS
 from sms_jobs.bench.sessions.board_sessions import (
     BOARD,
     BoardDesign,
@@ -40,9 +42,11 @@ from sms_jobs.metrology.phase.frame_noise import noise_of_steps
 from sms_jobs.records.gray_code import GrayCode
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.reasons import Reason
+from sms_jobs.records.views import view_of
 
 _BOWS_MM = (0.1, 0.3, 0.5)
 _MOST_Z = 1.5
+_KNOCKS_PX = (0.03, 0.1)
 _PERFECT = 20
 _SILENT_MM, _SILENT_Z = 1.0, 10.0
 _METHODS = (
@@ -283,6 +287,31 @@ def judged_cases(
     )
 
 
+def _moved(run: Run, seed: int) -> Iterator[Found]:
+    """Yield how far displacement is off when a sensor turns between two states."""
+    told, worst = [], 0.0
+    seen = panel_seen(seed, run.threads)
+    names = view_of(seen.last.view).sensors
+    for name, stated in ((name, stated) for name in names for stated in (True, False)):
+        for knock in _KNOCKS_PX[:1] if run.quick else _KNOCKS_PX:
+            for turn in (0.25 * np.pi, 0.65 * np.pi):
+                run.say(f"fringes_truth: {name} turns by {knock:g} px")
+                by = knock * np.cos(turn), knock * np.sin(turn)
+                z = seen.z(name, *by, stated=stated)
+                worst = max(worst, rms(z))
+                what = f"{name} {by[0]:.2f}, {by[1]:.2f} px{'' if stated else ', nothing stated'}"
+                told.append(f"{what}: {rms(z):.2f}, at most {z.max():.1f}")
+    yield Figure("moved_sensor_worst_z", worst, "1", _MOST_Z, "at most")
+    yield Condition(
+        "moved_sensor",
+        "rms error of displacement over all that is stated of it, the calibration's part included, when the "
+        "camera or the projector has turned about its centre between two states, by how far its image has "
+        f"moved along x and y ({'; '.join(told)}): tension panel, 512 px, first and last state, the "
+        f"calibration exact, and as uncertain as {len(MANY_SESSIONS.angles)} poses of a bar leave it, or "
+        f"nothing stated of it; a turn along the images of the rays alone leaves no sign; seed {seed}",
+    )
+
+
 def measure(run: Run) -> Iterator[Found]:
     """Yield the figures and their conditions; the seeds are new in every run."""
     seed = int(np.random.SeedSequence().generate_state(1)[0] % 1_000_000)
@@ -293,6 +322,7 @@ def measure(run: Run) -> Iterator[Found]:
     yield from _mixed(run, seed)
     yield from _noise(run, seed)
     yield from judged_cases(run, seed)
+    yield from _moved(run, seed)
 
 
 GROUP = Group("fringes_truth", "figures where boards and frames are not what was told", warm_up, measure)

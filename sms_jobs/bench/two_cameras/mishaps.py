@@ -136,7 +136,9 @@ def total_z(seen: Seen, outcome: Outcome) -> Floats:
     field, truth = outcome.shelf.records["correlate", subject]["displacement"], seen.exact.truth(subject)
     known = (field.reason == Reason.VALID) & np.isfinite(truth.displacement[0])
     error = (field.displacement - truth.displacement)[:, known]
-    variance = field.covariance[[0, 3, 5]][:, known] + np.square(field.sigma_calibration[:, known])
+    variance = field.covariance[[0, 3, 5]][:, known]
+    if field.sigma_calibration is not None:
+        variance = variance + np.square(field.sigma_calibration[:, known])
     return np.asarray(np.linalg.norm(error, axis=0) / np.sqrt(variance.sum(axis=0)))
 
 

@@ -150,7 +150,7 @@ def run(inputs: Inputs, parameters: CorrelateParameters, progress: Progress) -> 
     else:
         field = field_in_plane(image, matches, before, reference, parameters, resolution)
     field, factors = _with_calibration(inputs, field, before)
-    told = told_of_gaps(before.surface, after.surface, counted=_moved(factors))
+    told = _told_of_gaps(before, after, factors)
     progress(1.0, remarked(told, beside="looked up the displacement"))
     yield DatasetOutput(
         inputs.subject,
@@ -176,14 +176,22 @@ def _with_calibration(
         return field, {}
     factors = {key: inputs.read(port, CALIBRATION_FACTOR) for key, port in ports.items()}
     factors[DEFORMED] = moved_since(factors[REFERENCE], factors[DEFORMED])
+    if not all(factor.is_stated for factor in factors.values()) and not factors[DEFORMED].turned_px:
+        return field, {}
     states = states_from(factors[REFERENCE], factors[DEFORMED])
     sigma = displacement_sigma(states, before.surface, field)
     return replace(field, sigma_calibration=sigma), factors
 
 
-def _moved(factors: Mapping[str, CalibrationFactor]) -> bool:
-    """Say whether the calibration's part counts that a camera has moved since the reference state."""
-    return bool(factors) and factors[DEFORMED].times > factors[REFERENCE].times
+def _told_of_gaps(
+    before: TexturedState, after: TexturedState, factors: Mapping[str, CalibrationFactor]
+) -> str:
+    """Return what it means that rays miss each other by more than at rest; empty where they do not."""
+    if not factors:
+        return told_of_gaps(before.surface, after.surface)
+    turned_px = factors[DEFORMED].turned_px
+    counted = turned_px > 0.0 or factors[DEFORMED].times > factors[REFERENCE].times
+    return told_of_gaps(before.surface, after.surface, turned_px, counted=counted)
 
 
 def _come_apart(
@@ -307,7 +315,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=30,
+    version=31,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

@@ -9,22 +9,28 @@ from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.reasons import Reason
 
+_TURNED_PX = 0.05
+"""From what change of the misses on somebody is told: less is in the deviations, and no reason to stop."""
 _GROWN = 5.0
 """How much farther they have to miss each other, in deviations of their points, to be told."""
 
 
-def told_of_gaps(at_rest: Surface, later: Surface, *, counted: bool = False) -> str:
+def told_of_gaps(at_rest: Surface, later: Surface, turned_px: float = 0.0, *, counted: bool = False) -> str:
     """Return what it means that rays which met at rest miss each other now; empty where they do not.
 
     A calibration that is wrong for both states makes gaps in both, and its errors nearly cancel in the
     displacement. What has come since does not, and shows in no noise. `counted` says that the calibration's
-    part of the deviations has grown by it (`moved_since`).
+    part of the displacement's deviation is larger for it, `turned_px` by how much (`moved_since`).
     """
     before, now = _gap(at_rest), _gap(later)
     if before is None or now is None:
         return ""
     (gap_before, sigma_before), (gap, sigma) = before, now
-    if gap <= max(sigma, _GROWN * gap_before * sigma / sigma_before):
+    if turned_px > _TURNED_PX:
+        missed = f"{turned_px:.2g} px more than"
+    elif gap > max(sigma, _GROWN * gap_before * sigma / sigma_before):
+        missed = f"{gap:.2g} mm and did by {gap_before:.2g} mm"
+    else:
         return ""
     told = (
         "the calibration's part of the displacement's deviation is larger for it"
@@ -32,9 +38,8 @@ def told_of_gaps(at_rest: Surface, later: Surface, *, counted: bool = False) -> 
         else "the displacement is off by more than its deviation says"
     )
     return (
-        f"the rays miss each other by {gap:.2g} mm and did by {gap_before:.2g} mm at rest: a sensor has "
-        f"moved since, or its images are of another moment, and {told}; see that the images belong together, "
-        "or calibrate again"
+        f"the rays miss each other by {missed} at rest: a sensor has moved since, or its images are of "
+        f"another moment, and {told}; see that the images belong together, or calibrate again"
     )
 
 

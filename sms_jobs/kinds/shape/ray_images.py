@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.calibration_factors import known_view
-from sms_jobs.metrology.arrays import Floats, Ints32, Mask
+from sms_jobs.metrology.arrays import Floats, Ints, Ints32, Mask
 from sms_jobs.metrology.calibration.missed_rays import MissedRays, missed_rays
 from sms_jobs.metrology.calibration.point_factor import economical, line_sigma_px
 from sms_jobs.metrology.deformation.matching.correlation import CONVERGED
@@ -33,16 +33,19 @@ _FAR_PX = 0.1
 """Rms distance from the images of rays that a usual calibration does not leave."""
 _SWAPPED = 5.0
 """How much better cameras the other way round have to explain the matches to be believed."""
+_SHARED_BY = 9.0
+"""Pixels of fringes whose correction for the texture is one, as `missed_rays` counts them."""
+_MOST_LOOKED_AT = 20_000
 _MOST_PARTED = 0.5
 """Part of the points of three cameras whose rays may miss each other: of usual ones hardly any do."""
 
 
-def line_width(factor: CalibrationFactor | None, partner: int, given_px: float | None) -> Width:
+def line_width(factor: CalibrationFactor, partner: int, given_px: float | None) -> Width:
     """Return how far off the images of their rays a partner, from 1 on, may see points.
 
     As it is given, or six standard deviations of what the calibration says, or 3 px where it says nothing.
     """
-    if factor is None or given_px is not None:
+    if not factor.is_stated or given_px is not None:
         return lambda points: np.full(len(points), _LINE_PX if given_px is None else given_px)
     view = economical(known_view(factor))
     return lambda points: _LINE_SIGMAS * line_sigma_px(view, partner, points)
@@ -51,11 +54,11 @@ def line_width(factor: CalibrationFactor | None, partner: int, given_px: float |
 def told_by_rays(
     factor: CalibrationFactor,
     surface: Surface,
-    statistics: dict[str, float],
-    missed: Sequence[MissedRays | None],
+    rms_px: float,
     noise_px: float,
+    missed: Sequence[MissedRays | None],
 ) -> CalibrationFactor:
-    """Return how well sensors are known, by what matches miss the images of their rays by, too.
+    """Return how well sensors are known, by what partners miss the images of rays by, too.
 
     Parameters
     ----------
@@ -63,69 +66,93 @@ def told_by_rays(
         As the calibration states it.
     surface
         The points.
-    statistics
-        With `epipolar_rms_px`; what the calibration lets that be is added, for people.
+    rms_px
+        By how much single places miss the images of their rays, all partners together.
+    noise_px
+        Deviation of such a place.
     missed
         By each partner.
-    noise_px
-        Deviation of a match.
 
     Notes
     -----
-    Where matches miss by far more than is stated, nothing is seen all the same of what moves points along
-    these images. Whatever has turned the cameras since has hardly turned them about one axis alone, so that
-    all that the calibration states is taken to be as many times too small (Birge's ratio).
+    Where rays are missed by far more than is stated, place by place or on the whole, nothing is seen all the
+    same of what moves points along these images. Whatever has turned the sensors since has hardly turned them
+    about one axis alone, so that all that the calibration states is taken to be as many times too small
+    (Birge's ratio).
     """
     rows, columns = sample_blocks(surface.reason == Reason.VALID).pixels
     if not len(rows):
         return factor
     points, view = surface.position[:, rows, columns].T, economical(known_view(factor))
     stated = tuple(_rms(line_sigma_px(view, partner, points)) for partner in range(1, len(view.sensors)))
-    statistics["epipolar_stated_px"] = _rms(np.array(stated))
-    times = _times_stated(statistics, noise_px)
+    seen = [(rms_px, noise_px, _rms(np.array(stated)))]
+    seen += [(one.off_px, one.sigma, own) for one, own in zip(missed, stated, strict=True) if one is not None]
+    far = (off / own for off, sigma, own in seen if own and off > _LINE_SIGMAS * np.hypot(sigma, own))
+    times = max([1.0, *far])
     known = tuple(one for one in missed if one is not None)
     if len(known) < len(stated):
         known = ()
     return replace(factor, root=times * factor.root, missed=known, stated_px=stated, times=times)
 
 
+def stated_by(factor: CalibrationFactor) -> dict[str, float]:
+    """Return, for people, what a calibration lets rays be missed by; empty where it does not say."""
+    known = factor.is_stated and factor.stated_px
+    return {"epipolar_stated_px": _rms(np.array(factor.stated_px))} if known else {}
+
+
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _far_off(statistics: Mapping[str, float], noise_px: float) -> bool:
-    """Say whether matches miss the images of their rays by more than noise and the calibration explain."""
-    explained = float(np.hypot(statistics["epipolar_stated_px"], noise_px))
-    return statistics["epipolar_rms_px"] > _LINE_SIGMAS * explained
+def contradiction(factor: CalibrationFactor, misses: str, sensors: str, off_px: float = 0.0) -> str:
+    """Return in words that rays are missed by more than the calibration states, and what of it.
+
+    What misses what, and the sensors, are in words. `off_px` is by how much where nothing is stated, beyond
+    what noise explains. Empty where there is nothing to tell.
+    """
+    if factor.times > 1.0:
+        stated = _rms(np.array(factor.stated_px))
+        return (
+            f"{misses} by {factor.times * stated:.2g} px (rms), and the calibration states {stated:.2g} px, "
+            f"far less: the {sensors} may have moved since, or be swapped, or it is another rig's; its part "
+            f"of all deviations is taken to be {factor.times:.2g} times what it states"
+        )
+    if off_px <= _FAR_PX or factor.is_stated:
+        return ""
+    return (
+        f"{misses} by {off_px:.2g} px (rms), and the calibration does not say how well it is known: points "
+        "may be off by as much in every direction, and no deviation includes that; calibrate the "
+        f"{sensors} as they stand"
+    )
 
 
-def _times_stated(statistics: Mapping[str, float], noise_px: float) -> float:
-    """Return by how much the calibration states too little, 1 for nothing."""
-    missed, stated = statistics["epipolar_rms_px"], statistics["epipolar_stated_px"]
-    return missed / stated if _far_off(statistics, noise_px) and stated > 0.0 else 1.0
-
-
-def lines_summary(statistics: Mapping[str, float], noise_px: float) -> str:
+def lines_summary(factor: CalibrationFactor, rms_px: float, noise_px: float) -> str:
     """Return in a sentence how far matches lie off the images of their rays, and what was to be expected."""
-    missed = f"{statistics['epipolar_rms_px']:.2g} px (rms)"
-    found = f"met the rays, whose images the matches miss by {missed}"
-    stated = statistics.get("epipolar_stated_px")
-    if stated is None:
-        unknown = "the calibration does not say how well it is known"
-        if statistics["epipolar_rms_px"] <= max(_LINE_SIGMAS * noise_px, _FAR_PX):
-            return f"{found}; {unknown}"
-        return remarked(
-            f"the matches miss the images of their rays by {missed}, and {unknown}: points may be off by as "
-            "much in every direction, and no deviation includes that; calibrate the cameras as they stand"
-        )
-    if _far_off(statistics, noise_px):
-        times = _times_stated(statistics, noise_px)
-        return remarked(
-            f"the matches miss the images of their rays by {missed}, and the calibration states {stated:.2g} "
-            "px, far less: the cameras may have moved since, or be swapped, or it is another rig's; its part "
-            f"of all deviations is taken to be {times:.2g} times what it states"
-        )
-    return f"{found}; the calibration states {stated:.2g} px"
+    off_px = rms_px if rms_px > _LINE_SIGMAS * noise_px else 0.0
+    told = contradiction(factor, "the matches miss the images of their rays", "cameras", off_px)
+    if told:
+        return remarked(told)
+    stated = "".join(f"the calibration states {one:.2g} px" for one in stated_by(factor).values())
+    return (
+        f"met the rays, whose images the matches miss by {rms_px:.2g} px (rms); "
+        f"{stated or 'the calibration does not say how well it is known'}"
+    )
+
+
+def some_pixels(where: Mask) -> tuple[Ints, slice]:
+    """Return pixels of a mask (rows, columns) that tell what rays miss, and which of all of them they are.
+
+    (2, n), x and y: 20,000 to 40,000, or all where they are fewer.
+    """
+    rows, columns = np.nonzero(where)
+    some = slice(None, None, max(1, len(rows) // _MOST_LOOKED_AT))
+    return np.stack([columns[some], rows[some]]), some
+
+
+def gaps_missed(pixels: Ints, gap_px: Floats) -> MissedRays | None:
+    """Return by how much a partner's fringes miss the rays of pixels (2, n); `gap_px` (n,) has a sign."""
+    return missed_rays(pixels.astype(np.float64), gap_px, _SHARED_BY)
 
 
 def why_nothing(view: View, off_px: float, swapped: tuple[str, float] = ("", np.inf)) -> str:

@@ -54,6 +54,7 @@ from sms_jobs.kinds.shape.direction_check import check_directions
 from sms_jobs.kinds.shape.fringe_response import SampledResponse
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask
 from sms_jobs.kinds.shape.phases import find_phases, sensor_pair
+from sms_jobs.kinds.shape.ray_images import contradiction, gaps_missed, some_pixels, stated_by, told_by_rays
 from sms_jobs.kinds.shape.trusted_points import (
     LARGEST_SHIFT_PX,
     as_surface,
@@ -63,6 +64,8 @@ from sms_jobs.kinds.shape.trusted_points import (
 )
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.arrays import Reasons, Singles
+from sms_jobs.metrology.calibration.checking.expected_gap import pixel_size
+from sms_jobs.metrology.calibration.missed_rays import MissedRays
 from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.geometry.triangulation import Triangulation
 from sms_jobs.metrology.phase.response import corrected_gradient
@@ -127,15 +130,24 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma, part=corrected.part)
     mark_points(points, geometry, parameters, reason, corrected)
+    gap_px, missed = _missed(points, geometry, reason)
     surface = as_surface(str(inputs.view), points, reason)
     statistics = _statistics(points, phase, reason, corrected.blur)
-    records: dict[Product[Any], object] = {SURFACE: surface, PHASE: phase}
     factor = calibration_factor(inputs, _CALIBRATION, calibration, measurement.sequence.orientations_rad)
-    if factor is not None:
-        surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
-        records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
-        statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, remarked(_told_of_gaps(reason), beside="triangulated"))
+    off_px = 0.0
+    if missed is not None:
+        factor = told_by_rays(factor, surface, gap_px, missed.scatter, [missed])
+        off_px = missed.off_px
+        statistics["epipolar_rms_px"] = gap_px
+    surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
+    statistics |= stated_by(factor) | median_part(surface.sigma_calibration, "mm")
+    records: dict[Product[Any], object] = {
+        SURFACE: surface,
+        PHASE: phase,
+        CALIBRATION_FACTOR: factor,
+    }
+    told = contradiction(factor, "the rays miss each other", "sensors", off_px) or _told_of_gaps(reason)
+    progress(1.0, remarked(told, beside="triangulated"))
     if found.returns is not None:
         records[RETURNS] = found.returns
         statistics |= _pair_statistics(reason, found.returns)
@@ -144,6 +156,22 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     if phase.exposure is not None:
         statistics |= _exposure_statistics(phase.exposure, measurement.sequence.exposures)
     yield DatasetOutput(inputs.subject, records, statistics)
+
+
+def _missed(points: Triangulation, geometry: Geometry, reason: Reasons) -> tuple[float, MissedRays | None]:
+    """Return by how much the rays of what is otherwise valid miss each other, in px of the projector.
+
+    Robustly, and as a plane over the image; none where they cannot miss each other, or hardly any is known.
+    """
+    if len(geometry.pair.orientations) < 2:
+        return 0.0, None
+    pixels, _ = some_pixels(reason & ~np.uint32(Reason.LARGE_RAY_GAP) == Reason.VALID)
+    columns, rows = pixels
+    projector = geometry.pair.projector
+    size = pixel_size((projector.intrinsics, projector.pose), points.xyz[:, rows, columns].T)
+    gap_px = points.ray_gap[rows, columns] / size
+    missed = gaps_missed(pixels, gap_px)
+    return (0.0 if missed is None else 1.4826 * float(np.nanmedian(np.abs(gap_px)))), missed
 
 
 def _told_of_gaps(reason: Reasons) -> str:
@@ -215,7 +243,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=29,
+    version=30,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

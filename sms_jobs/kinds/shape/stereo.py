@@ -66,6 +66,7 @@ from sms_jobs.kinds.shape.ray_images import (
     matches_missed,
     refuse_far_from_rays,
     refuse_parted_rays,
+    stated_by,
     told_by_rays,
     why_nothing,
 )
@@ -155,21 +156,18 @@ def run(inputs: Inputs, parameters: StereoParameters, progress: Progress) -> Ite
     kept = {
         name: matches_record(one, labels) for name, one in zip(inputs.view.other_cameras, found, strict=True)
     }
-    records: dict[Product[Any], object] = {SURFACE: surface}
+    statistics = _statistics(surface, labels, kept, epipolar)
+    noise_px = statistics.get("median_match_sigma_px", 0.0)
+    subset = (2 * parameters.subset_radius_px + 1) / parameters.spacing_px
+    misses = matches_missed([one.camera for one in seen], found, max(1.0, subset**2), inputs.threads)
+    factor = told_by_rays(factor, surface, epipolar, noise_px, misses)
+    surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
+    statistics |= stated_by(factor) | median_part(surface.sigma_calibration, "mm")
+    records: dict[Product[Any], object] = {SURFACE: surface, CALIBRATION_FACTOR: factor}
     records |= {MATCHES.of(name): matches for name, matches in kept.items()}
     for name, places in zip(inputs.view.other_cameras, spread, strict=True):
         records[PLACES.of(name)] = places_seen(name, places, surface)
-    statistics = _statistics(surface, labels, kept, epipolar)
-    noise_px = statistics.get("median_match_sigma_px", 0.0)
-    if factor is not None:
-        subset = (2 * parameters.subset_radius_px + 1) / parameters.spacing_px
-        sensors = [one.camera for one in seen]
-        misses = matches_missed(sensors, found, max(1.0, subset**2), inputs.threads)
-        factor = told_by_rays(factor, surface, statistics, misses, noise_px)
-        surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
-        records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
-        statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, lines_summary(statistics, noise_px))
+    progress(1.0, lines_summary(factor, epipolar, noise_px))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
@@ -326,7 +324,7 @@ def _statistics(
 KIND = Kind(
     name="stereo",
     summary="shape from the images of several cameras: textures matched between them, rays met",
-    version=26,
+    version=27,
     scope=Scope.TUPLE,
     parameters=StereoParameters,
     inputs=(_FRAMES, _CALIBRATION),

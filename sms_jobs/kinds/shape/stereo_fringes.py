@@ -46,12 +46,11 @@ from sms_jobs.kinds.products import (
 )
 from sms_jobs.kinds.shape.phase_task import Geometry, PhaseParameters, PhaseTask, TrustParameters, mark
 from sms_jobs.kinds.shape.phases import Phases, find_phases, sensor_pair
-from sms_jobs.kinds.shape.ray_images import lines_summary, told_by_rays
+from sms_jobs.kinds.shape.ray_images import gaps_missed, lines_summary, some_pixels, stated_by, told_by_rays
 from sms_jobs.kinds.shape.shared_fringes import MetFringes, SeenFringes, SharedFringes
 from sms_jobs.kinds.shape.trusted_points import LARGEST_SHIFT_PX, as_surface, gap_sigma_px, mark_points
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.arrays import Floats, Reasons
-from sms_jobs.metrology.calibration.missed_rays import MissedRays, missed_rays
 from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.records.fields import PhaseMaps, Surface
@@ -64,9 +63,6 @@ _OF_PHASES = 0.35
 """Of the work, for each camera."""
 _EXCHANGED = 5.0
 """How much better cameras the other way round have to explain the places to be believed."""
-_SHARED_BY = 9.0
-"""Pixels whose correction for the texture is one, as `missed_rays` counts them."""
-_MOST_LOOKED_AT = 20_000
 _CLOSE_PX = 0.1
 """Median distance of places from the images of their rays that needs no other explanation."""
 
@@ -129,15 +125,19 @@ def run(inputs: Inputs, parameters: StereoFringesParameters, progress: Progress)
     surface = as_surface(str(inputs.view), met.points, reason)
     statistics = _statistics(surface, own.maps, epipolar)
     statistics["blur_px"] = float(np.sqrt(met.corrected.blur.variance))
-    records: dict[Product[Any], object] = {SURFACE: surface, PHASE: own.maps}
-    factor, missed = calibration_factor(inputs, _CALIBRATION, calibration), _missed(fringes, met)
+    pixels, some = some_pixels(fringes.usable)
+    missed = gaps_missed(pixels, met.gap_px[some])
     noise_px = 0.0 if missed is None else missed.scatter
-    if factor is not None:
-        factor = told_by_rays(factor, surface, statistics, [missed], noise_px)
-        surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
-        records |= {SURFACE: surface, CALIBRATION_FACTOR: factor}
-        statistics |= median_part(surface.sigma_calibration, "mm")
-    progress(1.0, lines_summary(statistics, noise_px))
+    factor = calibration_factor(inputs, _CALIBRATION, calibration)
+    factor = told_by_rays(factor, surface, epipolar, noise_px, [missed])
+    surface = replace(surface, sigma_calibration=position_sigma(factor, surface))
+    statistics |= stated_by(factor) | median_part(surface.sigma_calibration, "mm")
+    records: dict[Product[Any], object] = {
+        SURFACE: surface,
+        PHASE: own.maps,
+        CALIBRATION_FACTOR: factor,
+    }
+    progress(1.0, lines_summary(factor, epipolar, noise_px))
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
@@ -216,13 +216,6 @@ def _refuse_far_from_rays(inputs: Inputs, fringes: SharedFringes, met: MetFringe
     return 1.4826 * middle
 
 
-def _missed(fringes: SharedFringes, met: MetFringes) -> MissedRays | None:
-    """Return by how much the places miss the images of their rays."""
-    rows, columns = np.nonzero(fringes.usable)
-    some = slice(None, None, max(1, len(rows) // _MOST_LOOKED_AT))
-    return missed_rays(np.stack([columns, rows])[:, some].astype(np.float64), met.gap_px[some], _SHARED_BY)
-
-
 def _middle(gap_px: Floats) -> float:
     """Return the median length of gaps; rays that nowhere come near each other are infinitely far apart."""
     return float(np.median(np.nan_to_num(np.abs(gap_px), nan=np.inf)))
@@ -252,7 +245,7 @@ def _statistics(surface: Surface, phase: PhaseMaps, epipolar_px: float) -> dict[
 KIND = Kind(
     name="stereo-fringes",
     summary="shape from fringes that two cameras see, by their calibration alone: phases looked up, rays met",
-    version=6,
+    version=7,
     scope=Scope.TUPLE,
     parameters=StereoFringesParameters,
     inputs=(_FRAMES, _CALIBRATION),

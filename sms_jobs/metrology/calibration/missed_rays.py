@@ -40,6 +40,11 @@ class MissedRays:
     sigma: float
     scatter: float
 
+    @property
+    def off_px(self) -> float:
+        """Rms of the plane over the points, px."""
+        return float(np.linalg.norm(self.plane))
+
     def change_px(self, before: MissedRays) -> float:
         """Return the rms change over where points were before, in px; 0 where noise explains it."""
         slopes = np.array(self.plane[1:]) / self.size

@@ -38,12 +38,20 @@ class KnownView:
         (parameters, r), a square root of the covariance of the sensors' parameters, in rad, mm and px.
     orientations_rad
         Of the fringes, where the partner is a projector; empty for cameras.
+    own
+        How many of the last columns mean something for this view alone.
     """
 
     sensors: tuple[Camera, ...]
     calibration: str
     root: Floats
     orientations_rad: tuple[float, ...] = ()
+    own: int = 0
+
+    def with_own(self, columns: Floats) -> KnownView:
+        """Return the view with columns (parameters, k) more that mean something for it alone."""
+        root = np.concatenate([self.root, columns], axis=1)
+        return replace(self, root=root, own=self.own + columns.shape[1])
 
 
 def square_root(covariance: Floats) -> Floats:
@@ -68,10 +76,28 @@ def economical(view: KnownView) -> KnownView:
 
     By the singular values of its root; the same for all states of one calibration.
     """
-    if view.root.shape[1] <= len(view.root):
+    common, own = np.split(view.root, [view.root.shape[1] - view.own], axis=1)
+    if common.shape[1] <= len(common):
         return view
-    left, sizes, _ = np.linalg.svd(view.root, full_matrices=False)
-    return replace(view, root=left * sizes)
+    left, sizes, _ = np.linalg.svd(common, full_matrices=False)
+    return replace(view, root=np.concatenate([left * sizes, own], axis=1))
+
+
+def turns(sensors: tuple[Camera, ...]) -> Floats:
+    """Return what sensors are uncertain by that have turned, (parameters, 2 per sensor).
+
+    About both axes of the image of each, by as much as moves it by 1 px / sqrt(2): so that what two sensors
+    see of each other's rays is uncertain by 1 px.
+    """
+    columns = np.zeros((PER_SENSOR * len(sensors), 2 * len(sensors)))
+    for number, sensor in enumerate(sensors):
+        for axis, focal in enumerate((sensor.intrinsics.fy, sensor.intrinsics.fx)):
+            turn = np.eye(3)[axis] / (np.sqrt(2.0) * focal)
+            # About its own centre, while R <- exp([r]x) R turns it about the world's origin.
+            shift = np.cross(turn, sensor.pose.translation)
+            at = PER_SENSOR * number
+            columns[at : at + PER_POSE, 2 * number + axis] = np.concatenate([turn, shift])
+    return columns
 
 
 def point_factor(view: KnownView, points: Floats) -> Floats:

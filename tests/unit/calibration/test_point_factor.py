@@ -17,6 +17,7 @@ from sms_jobs.metrology.calibration.point_factor import (
     point_factor,
     sigma_of,
     square_root,
+    turns,
 )
 from sms_jobs.metrology.deformation.strain.common_errors import (
     directional,
@@ -283,3 +284,47 @@ def test_a_point_that_a_sensor_does_not_see_has_no_factor() -> None:
         found = point_factor(known(rig), behind)
         assert np.isnan(found[0]).all()
         assert np.isfinite(found[1]).all()
+
+
+@pytest.mark.parametrize("rig", [RIGS["two orientations"], RIGS["three cameras"]])
+def test_sensors_turn_about_their_centres_and_see_each_others_rays_a_pixel_off(rig: Rig) -> None:
+    columns = turns(rig.sensors)
+    assert columns.shape == (PER_SENSOR * len(rig.sensors), 2 * len(rig.sensors))
+    for number, sensor in enumerate(rig.sensors):
+        own = columns[PER_SENSOR * number : PER_SENSOR * (number + 1)]
+        assert not np.delete(columns, [2 * number, 2 * number + 1], axis=1)[PER_SENSOR * number].any()
+        ahead = sensor.pose.centre() + 600.0 * sensor.pose.matrix()[2]
+        was = project(sensor.intrinsics, sensor.pose, ahead[None])[0]
+        for column, moved in zip(
+            own[:, 2 * number : 2 * number + 2].T, ([0.0, 1.0], [1.0, 0.0]), strict=True
+        ):
+            lens, pose = moved_sensor((sensor.intrinsics, sensor.pose), 0.1 * column)
+            # Of second order: a turn of 0.1 px, 5e-5 rad, twice, by a metre.
+            np.testing.assert_allclose(pose.centre(), sensor.pose.centre(), atol=1e-5)
+            by = np.abs(project(lens, pose, ahead[None])[0] - was)
+            np.testing.assert_allclose(by, 0.1 * np.sqrt(0.5) * np.array(moved), atol=1e-3)
+    view = KnownView(rig.sensors, "turned", columns, rig.orientations)
+    seen = line_sigma_px(view, 1, points(rig.sensors[0]).reshape(-1, 3))
+    # Turned cameras see each other's rays by 1 px beside; a turn moves more what is not ahead, by the
+    # square of the tangent: 0.05 at most.
+    np.testing.assert_allclose(seen, 1.0, atol=0.12)
+
+
+def test_what_a_view_has_of_its_own_is_kept_apart_from_what_is_common() -> None:
+    rig = RIGS["two cameras"]
+    place = points(rig.sensors[0]).reshape(-1, 3)
+    shift = np.full_like(place, 0.2)
+    random = np.random.default_rng(5)
+    size = PER_SENSOR * len(rig.sensors)
+    common = KnownView(rig.sensors, "known", 1e-4 * random.normal(size=(size, 3 * size)))
+    turned = 0.1 * turns(rig.sensors)
+    before, after = common.with_own(np.zeros_like(turned)), common.with_own(turned)
+    whole = sigma_of(motion_factor(before, after, place, shift))
+    parts = (
+        sigma_of(motion_factor(common, common, place, shift)),
+        sigma_of(point_factor(KnownView(rig.sensors, "turned", turned), place + shift)),
+    )
+    np.testing.assert_allclose(whole, np.hypot(*parts), rtol=1e-9)
+    small = economical(before), economical(after)
+    assert small[1].root.shape[1] == size + turned.shape[1]
+    np.testing.assert_allclose(sigma_of(motion_factor(*small, place, shift)), whole, rtol=1e-6)

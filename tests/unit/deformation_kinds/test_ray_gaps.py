@@ -36,16 +36,22 @@ def surface(gap_mm: float, sigma_mm: float) -> Surface:
 def test_gaps_that_noise_or_the_calibration_explain_are_not_told(
     at_rest: tuple[float, float], later: tuple[float, float]
 ) -> None:
-    assert told_of_gaps(surface(*at_rest), surface(*later)) == ""
+    assert told_of_gaps(surface(*at_rest), surface(*later), 0.01) == ""
 
 
 def test_gaps_that_have_come_since_are_told() -> None:
     said = told_of_gaps(surface(0.002, 0.007), surface(0.093, 0.013))
     assert "miss each other by 0.093 mm and did by 0.002 mm at rest" in said
     assert "is off by more than its deviation says" in said
-    counted = told_of_gaps(surface(0.002, 0.007), surface(0.093, 0.013), counted=True)
+    counted = told_of_gaps(surface(0.002, 0.007), surface(0.093, 0.013), 0.01, counted=True)
     assert "the calibration's part of the displacement's deviation is larger for it" in counted
-    assert told_of_gaps(replace(surface(0.0, 0.1), ray_gap=None), surface(0.093, 0.013)) == ""
+    assert told_of_gaps(replace(surface(0.0, 0.1), ray_gap=None), surface(0.093, 0.013), 0.1) == ""
+
+
+def test_rays_that_miss_each_other_by_more_than_at_rest_are_told_however_large_the_noise() -> None:
+    told = told_of_gaps(surface(0.01, 0.02), surface(0.01, 0.02), 0.12, counted=True)
+    assert "miss each other by 0.12 px more than at rest: a sensor has moved since" in told
+    assert "the calibration's part of the displacement's deviation is larger for it" in told
 
 
 @pytest.mark.parametrize("times", [1.0, 100.0])

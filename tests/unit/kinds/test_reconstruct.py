@@ -48,7 +48,7 @@ class Tuple:
     ) -> tuple[Surface, PhaseMaps, DatasetOutput]:
         records = {"measurement": measurement or self.measurement, "calibration": self.calibration}
         output = run_kind(KIND, SUBJECT, records, threads, parameters or ReconstructParameters(), progress)
-        assert list(output.records) == ["surface", "phase"]
+        assert list(output.records) == ["surface", "phase", "factor"]
         return output.records["surface"], output.records["phase"], output
 
 

@@ -132,7 +132,7 @@ def test_one_return_scatters_as_predicted() -> None:
     scene = plate(tuple(range(16)))
     output = scene.reconstruct(method="fdr")
     cloud: Surface = output.records["surface"]
-    assert list(output.records) == ["surface", "phase"]
+    assert list(output.records) == ["surface", "phase", "factor"]
     inside = ndimage.binary_erosion(scene.shape.lit, iterations=3)
     z = scores(cloud, scene.shape, inside)
     assert z.size > 0.995 * inside.sum()

@@ -126,11 +126,11 @@ def test_a_camera_that_moves_is_in_the_displacement(moved_px: float) -> None:
     assert found.max() < 36.0
     before, now = (output.records[factor.stored_as] for factor in OF_BOTH)
     assert before.times == 1.0
-    # What is seen in one state alone counts by 1.4826 of its median: more, where it is the same everywhere.
-    deviations = moved_px / STATED_PX
-    assert now.times == pytest.approx(
-        max(1.0 + deviations, 1.6 * deviations if moved_px > 0.1 else 0.0), rel=0.3
-    )
+    # What is seen in one state alone counts by 1.4826 of its median: more than has changed, and all of it.
+    seen_alone = moved_px > 0.1
+    assert now.times == pytest.approx(1.6 * moved_px / STATED_PX if seen_alone else 1.0, rel=0.3)
+    # The images of rays are tilted by 7 degrees at most.
+    assert now.turned_px == pytest.approx(0.0 if seen_alone else moved_px, rel=0.15)
     assert ("far less" in told) == (moved_px > 0.1)
     if moved_px > 0.1:  # 1.4826 of the median of what is 0.3 px nearly everywhere
         assert re.search(r"its part of all deviations is taken to be 2[2-6] times what it states", told)
@@ -143,7 +143,7 @@ def test_cameras_that_stay_add_nothing_to_the_displacement() -> None:
     noise = np.sqrt(field.covariance[5][field.reason == Reason.VALID])
     # Both states' errors by the calibration are one, and the surface has moved by half a millimetre of 600.
     assert np.nanmedian(field.sigma_calibration[2]) < 0.05 * np.median(noise)
-    assert output.records[OF_BOTH[1].stored_as].times < 1.1
+    assert output.records[OF_BOTH[1].stored_as].turned_px < 0.1 * STATED_PX
     assert "far less" not in told
 
 
@@ -215,19 +215,23 @@ def factor(times: float, middle_px: float, sigma: float = 1e-3) -> CalibrationFa
 
 
 @pytest.mark.parametrize(
-    ("before", "now", "times"),
+    ("before", "now", "turned_px"),
     [
-        (factor(1.0, 0.0), factor(1.0, 0.1), 6.0),  # five deviations of 0.02 px more
-        (factor(1.0, 0.0), factor(1.0, -0.1), 6.0),
-        (factor(1.0, 0.0, 0.06), factor(1.0, 0.1, 0.06), 1.0),  # by noise
-        (factor(1.0, 0.0), factor(10.0, 0.1), 10.0),  # seen in the later state alone
-        (factor(8.0, 0.2), factor(8.0, 0.2), 8.0),  # as wrong as it was
-        (factor(8.0, 0.2), factor(8.0, -0.2), 28.0),
+        (factor(1.0, 0.0), factor(1.0, 0.1), 0.1),
+        (factor(1.0, 0.0), factor(1.0, -0.1), 0.1),
+        (factor(1.0, 0.0, 0.06), factor(1.0, 0.1, 0.06), 0.0),  # by noise
+        (factor(1.0, 0.0), factor(4.0, 0.1), 0.08),  # of which 0.06 px is seen in the later state alone
+        (factor(1.0, 0.0), factor(10.0, 0.1), 0.0),
+        (factor(8.0, 0.2), factor(8.0, 0.2), 0.0),  # as wrong as it was
+        (factor(8.0, 0.2), factor(8.0, -0.2), 0.4),
     ],
 )
 def test_what_has_changed_since_the_reference_counts(
-    before: CalibrationFactor, now: CalibrationFactor, times: float
+    before: CalibrationFactor, now: CalibrationFactor, turned_px: float
 ) -> None:
     found = moved_since(before, now)
-    assert found.times == pytest.approx(times)
-    np.testing.assert_allclose(found.root, times * np.eye(2 * PER_SENSOR))
+    assert found == replace(now, turned_px=found.turned_px)
+    assert found.turned_px == pytest.approx(turned_px)
+    assert moved_since(replace(before, calibration="another"), now) is now
+    silent = moved_since(*(replace(one, root=one.root[:, :0], times=1.0) for one in (before, now)))
+    assert silent.turned_px == pytest.approx(before.missed[0].change_px(now.missed[0]), abs=1e-12)
