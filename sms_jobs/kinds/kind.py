@@ -273,6 +273,9 @@ class Kind(Generic[P]):
         Whether its results may be about states that the campaign does not have; it is given them.
     otherwise
         What else can be done where a result that it needs is not there, for the error that says so.
+    of_some_states
+        What a kind whose job is about a whole campaign offers for some of its states, for the error that says
+        that they cannot be chosen otherwise.
     along_frame
         Whether its numbers lie along the axes of the specimen's frame, so that another frame makes its
         results stale.
@@ -298,6 +301,7 @@ class Kind(Generic[P]):
     with_instruments: bool = False
     adds_states: bool = False
     otherwise: Callable[[Campaign, Need], str] = nothing_else
+    of_some_states: str = ""
     along_frame: bool = False
 
     def checked_parameters(self, given: Mapping[str, Any]) -> P:

@@ -339,7 +339,8 @@ class Lab:
         NotFound
             There is no such campaign or kind, or something that it needs.
         InvalidInput
-            A parameter, state or view is not one of them, or the run cannot have that name.
+            A parameter, state or view is not one of them or has no effect on the kind, or the run
+            cannot have that name.
         Conflict
             The run is kept as it is.
         """

@@ -133,6 +133,14 @@ def test_an_error_of_a_page_is_a_page(desk: httpx2.Client, path: str, status: in
     assert desk.get("/api/v1/jobs/none").json()["kind"] == "NotFound"
 
 
+def test_a_choice_without_effect_is_refused_over_http_as_well(desk: httpx2.Client) -> None:
+    order = {"kinds": ["merge"], "campaign": "plate", "views": ["C1P1"]}
+    for path, more in (("/api/v1/jobs", {}), ("/api/v1/schedules", {"name": "n", "every": "1h"})):
+        refused = desk.post(path, json=order | more)
+        assert refused.status_code == 422
+        assert "by `view` has no effect on it: submit merge without it" in refused.text
+
+
 def test_whoever_is_not_known_is_led_to_the_door_and_back(named: httpx2.Client) -> None:
     named.cookies.clear()
     away = named.get("/jobs?kind=strain")

@@ -11,7 +11,7 @@ import pytest
 from sms_jobs.errors import InvalidInput, NotFound
 from sms_jobs.jobs.planning.graph import Existing, PlannedJob, Request, plan, plan_possible
 from sms_jobs.kinds import all_kinds
-from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need
+from sms_jobs.kinds.kind import CALIBRATION, MEASUREMENT, Need, default_subjects
 from sms_jobs.records.campaign import Campaign
 from sms_jobs.virtual_rig.campaigns import small_plate, top_hat_bending
 
@@ -72,6 +72,54 @@ def test_one_state_brings_the_reference_that_it_needs_and_no_report() -> None:
     assert {job.subject.state for job in jobs if job.kind.name == "reconstruct"} == {"S00", "S02"}
     assert {job.subject.state for job in jobs if job.kind.name == "correlate"} == {"S02"}
     assert "report" not in counted(jobs)
+
+
+def test_one_view_brings_nothing_that_is_about_all_views_of_a_state() -> None:
+    jobs = plan(CAMPAIGN, [Request("pipeline", views=("C1P2",))], everything_exists)
+    # 4 states, 3 of them deformed.
+    assert counted(jobs) == {"reconstruct": 4, "correlate": 3, "strain": 3, "assess": 4}
+    assert {job.subject.view for job in jobs} == {"C1P2"}
+    # A camera that measures shape is not merged with what it sees alone.
+    both = replace(CAMPAIGN, views=("C1P1", "C1"), scene=None)
+    assert counted(plan(both, [Request("pipeline", views=("C1P1",))], everything_exists))["merge"] == 3
+
+
+def test_nobody_chooses_a_part_of_what_a_job_covers_whole() -> None:
+    """Of every kind: a state or view that is chosen is obeyed or refused."""
+    state, view = CAMPAIGN.states[1].label, CAMPAIGN.views[0]
+    obeyed: dict[str, set[str]] = {}
+    able = {name: kind for name, kind in all_kinds().items() if default_subjects(kind, CAMPAIGN)}
+    for name, kind in able.items():
+        for choice, given in (("state", {"states": (state,)}), ("view", {"views": (view,)})):
+            try:
+                plan_possible(CAMPAIGN, [Request(name, **given)], everything_exists)  # type: ignore[arg-type]
+            except InvalidInput as error:
+                if f"`{choice}` has no effect" in str(error):
+                    continue
+            obeyed.setdefault(kind.scope.value, set()).add(choice)
+    assert obeyed == {"state": {"state"}, "tuple": {"state", "view"}}
+
+
+def test_a_choice_without_effect_is_refused_with_what_to_do_instead() -> None:
+    of_report = "report is about all states of campaign hat, .* by `state` has no effect .* leave_out=STATE"
+    of_merge = "merge is about all views of a state of campaign hat, .*: submit merge without it$"
+    for request, said in (
+        (Request("report", states=("S01",)), of_report),
+        (Request("report", views=("C1P1",)), "all views of campaign hat, .* submit report without it$"),
+        (Request("merge", views=("C1P1", "C1P2")), of_merge),
+    ):
+        for asked in ([request], [Request("pipeline", {}, request.states, request.views), request]):
+            with pytest.raises(InvalidInput, match=said):
+                plan(CAMPAIGN, asked, everything_exists)
+    # A state is recorded by all its views at once, and one of them is made of it.
+    for kind in ("reconstruct", "pipeline"):
+        jobs = plan(CAMPAIGN, [Request(k, views=("C1P1",)) for k in ("simulate", kind)], only_calibration)
+        assert {job.subject.view for job in jobs if job.kind.name != "simulate"} == {"C1P1"}
+    with pytest.raises(InvalidInput, match="simulate is about all views"):
+        plan(CAMPAIGN, [Request("simulate", views=("C1P1",))], everything_exists)
+    # Whoever names all of them has left nothing out.
+    named = Request("report", {}, tuple(s.label for s in CAMPAIGN.states), CAMPAIGN.views)
+    assert counted(plan(CAMPAIGN, [named], everything_exists)) == {"report": 1}
 
 
 def test_one_kind_uses_what_exists() -> None:

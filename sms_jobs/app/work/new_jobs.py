@@ -141,8 +141,9 @@ def submit(services: Services, work: Work, *, dry_run: bool = False) -> Submitte
     NotFound
         There is no such campaign or kind, or every state lacks something.
     InvalidInput
-        A parameter, state or view is not one of them, a gauge lies outside of the images or off the surfaces
-        that it is read from, a region has no pixel of its image, or the run cannot have that name.
+        A parameter, state or view is not one of them, or has no effect on a kind; a gauge lies outside of the
+        images or off the surfaces that it is read from, a region has no pixel of its image, or the run cannot
+        have that name.
     Conflict
         The run is kept as it is.
     """

@@ -163,7 +163,8 @@ def plan_possible(
     Raises
     ------
     InvalidInput
-        A kind, parameter, state or view does not exist, or a kind can do nothing in this campaign.
+        A kind, parameter, state or view does not exist, a kind can do nothing in this campaign, or its jobs
+        cover what a state or view would be a part of.
     NotFound
         Every job that was asked for would need a result that neither exists nor is part of the plan.
     """
@@ -303,11 +304,14 @@ def _expand(campaign: Campaign, requests: Sequence[Request]) -> dict[str, _Reque
         kinds = {name: kind_named(name) for name in pipeline}
         by_kind = _by_kind(request.parameters, kinds)
         for name, kind in kinds.items():
-            # A part of a campaign has no report of the whole.
-            if kind.scope is Scope.CAMPAIGN and (request.states or request.views):
+            # A part of a campaign has no report of the whole, and one of its views nothing that is merged.
+            if _cut_by(kind, campaign, request, campaign.measured_views):
                 continue
             own = replace(request, kind=name, parameters=by_kind.get(name, {}))
             requested[name] = _Requested(kind, own, pipeline[name])
+    for request in requests:
+        if request.kind != PIPELINE:
+            _refuse_cut(requested[request.kind], campaign, requested.values())
     return requested
 
 
@@ -320,6 +324,34 @@ def _check_places(campaign: Campaign, request: Request) -> None:
             f"campaign {campaign.name} has no view {', '.join(sorted(unknown))}; "
             f"it has {', '.join(campaign.views)}"
         )
+
+
+def _cut_by(kind: Kind[Any], campaign: Campaign, request: Request, views: Iterable[str]) -> str:
+    """Return what chooses a part of what one job of a kind covers, which is `views` of a state; or ""."""
+    labels = {state.label for state in campaign.states}
+    if kind.scope is Scope.CAMPAIGN and request.states and not labels.issubset(request.states):
+        return "state"
+    if kind.scope is not Scope.TUPLE and request.views and not set(views).issubset(request.views):
+        return "view"
+    return ""
+
+
+def _refuse_cut(one: _Requested, campaign: Campaign, requested: Iterable[_Requested]) -> None:
+    """Refuse to choose a part of what a job covers, unless what is chosen is made of its result."""
+    kind, request = one.kind, one.request
+    cut_by = _cut_by(kind, campaign, request, campaign.views)
+    chosen = [o.kind for o in requested if not _cut_by(o.kind, campaign, o.request, campaign.views)]
+    needed = {port.source for other in chosen for port in other.inputs}
+    if not cut_by or (kind.makes or kind.name) in needed:
+        return
+    covered = f"campaign {campaign.name}"
+    if cut_by == "view" and kind.scope is Scope.STATE:
+        covered = f"a state of {covered}"
+    further = f", or {kind.of_some_states}" if cut_by == "state" and kind.of_some_states else ""
+    raise InvalidInput(
+        f"a job of {kind.name} is about all {cut_by}s of {covered}, so that choosing some of them by "
+        f"`{cut_by}` has no effect on it: submit {kind.name} without it{further}"
+    )
 
 
 def _cannot(kind: Kind[Any], campaign: Campaign, others: Iterable[str]) -> str:

@@ -168,4 +168,5 @@ KIND = Kind(
     subjects=subjects,
     context=whole_campaign,
     otherwise=_otherwise,
+    of_some_states="leave some out of its pages with leave_out=STATE; report-state is about one state",
 )
