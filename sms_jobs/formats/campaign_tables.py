@@ -44,6 +44,7 @@ from sms_jobs.records.campaign import Campaign, LoadState, ParameterValue, Speci
 from sms_jobs.records.gray_code import Threshold
 from sms_jobs.records.measurement import FringeSequence
 from sms_jobs.records.scene import CameraResponse, Gloss, ProjectorResponse, Scene, Speckle
+from sms_jobs.records.seen_volumes import refuse_unseen
 from sms_jobs.records.sensors import Calibration, Rig, Sensor
 from sms_jobs.records.views import role_of, view_of
 
@@ -311,6 +312,8 @@ class CampaignTable(Table):
         if self.session is not None and self.session.stage_poses is not None:
             states += self.session.stage_poses.states(virtual=scene is not None)
         volume = None if self.scene is None else self.scene.volume
+        if scene is not None and volume is not None:
+            refuse_unseen(scene.rig.sensors, volume.record(), "the scene")
         campaign = Campaign(
             name=self.name,
             specimen=Specimen(self.specimen.name, self.specimen.material, self.specimen.description),

@@ -114,6 +114,13 @@ def test_a_pose_can_be_given_by_what_is_looked_at_or_by_its_matrix() -> None:
     assert given.rig.sensor("P1") == looking.rig.sensor("P1")
 
 
+def test_a_volume_that_no_sensor_of_the_scene_sees_is_refused() -> None:
+    corners = "low_mm = [-170.0, -140.0, -60.0]\nhigh_mm = [170.0, 140.0, 60.0]"
+    far = "low_mm = [-170.0, -140.0, 2000.0]\nhigh_mm = [170.0, 140.0, 2060.0]"
+    with pytest.raises(ConfigurationError, match="no sensor of the scene sees anything of the volume"):
+        changed(corners, far)
+
+
 def test_a_placement_turns_by_degrees() -> None:
     plan = changed("[scene.volume]", "[scene.placement]\nrotation_deg = [0, 0, 90]\n\n[scene.volume]")
     assert plan.campaign.scene is not None

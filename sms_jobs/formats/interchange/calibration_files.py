@@ -24,6 +24,7 @@ from sms_jobs.metrology.geometry.common_view import common_field
 from sms_jobs.metrology.geometry.lens import undistort
 from sms_jobs.metrology.geometry.lens_field import fold_px
 from sms_jobs.records.baselines import refuse_one_place
+from sms_jobs.records.seen_volumes import corners, refuse_unseen, remarks_on_blind
 from sms_jobs.records.sensors import Box, Calibration, Rig, Sensor
 from sms_jobs.records.subject import checked_name
 from sms_jobs.records.supplements import Supplement
@@ -137,15 +138,16 @@ def _completed(found: FoundCalibration, given: Supplement, sources: str, origin:
             "with projectors alone; add a camera, or name one with `camera`"
         )
     refuse_one_place(sensors, sources)
+    if given.volume is not None:
+        refuse_unseen(sensors, given.volume, sources)
     remarks = [*found.remarks, *_folds(sensors, sources), *_of_other_images(sensors)]
     if not found.in_millimetres and given.millimetres_per_unit == 1.0:
         remarks += _assumed_unit(sensors, sources)
     if volume is None:
         volume = _seen_together(sensors, sources)
-        low, high = (", ".join(f"{x:g}" for x in corner) for corner in (volume.low, volume.high))
-        remarks.append(
-            f"the volume is what the cameras see together, from {low} to {high} mm; `volume` changes it"
-        )
+        remarks.append(f"the volume is what the cameras see together, {corners(volume)}; `volume` changes it")
+    else:
+        remarks += remarks_on_blind(sensors, volume)
     calibration = Calibration(Rig(rig, sensors), volume, valid_from.astimezone(UTC), origin)
     return ImportedCalibration(calibration, tuple(remarks))
 

@@ -15,6 +15,8 @@ _SAME_RAY = 1e-6
 """In 1 - cos: 1.4 mrad between a point and the ray of its pixel, far more than rounding makes."""
 _LEAST_ANGLE = np.radians(1.0)  # the place where views that turn less to each other meet is beyond measure
 _GRID = 41
+_PER_SIDE = 9
+"""Points along each side of a box, and rays along each side of an image, by which the two meet."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,24 @@ def _lines(camera: Camera, points: Floats) -> tuple[Mask, Floats]:
         rays = ray_directions(camera.intrinsics, camera.pose, pixels)
         unfolded = np.sum(rays * along, axis=-1) > 1.0 - _SAME_RAY
     return inside & unfolded, along
+
+
+def sees_some_of(camera: Camera, low: Floats, high: Floats) -> bool:
+    """Say whether a camera or projector sees any of a box between corners (3,), in mm.
+
+    Of a box that is small in its image some points are seen; through one that is large rays run.
+    """
+    points = np.stack(np.meshgrid(*np.linspace(low, high, _PER_SIDE).T), axis=-1).reshape(-1, 3)
+    parts = np.linspace(0.0, 1.0, _PER_SIDE)
+    rays = np.array([_ray(camera, right, down) for right in parts for down in parts])
+    rays = rays[np.isfinite(rays).all(axis=-1)]
+    with np.errstate(all="ignore"):
+        if _lines(camera, points)[0].any():
+            return True
+        # The distances at which rays meet each pair of the box's planes; 0 / 0 lies in a plane all along.
+        at = (np.stack([low, high]) - camera.pose.centre())[:, None] / rays
+        enters, leaves = np.nanmax(at.min(axis=0), axis=-1), np.nanmin(at.max(axis=0), axis=-1)
+    return bool(np.any(leaves >= np.maximum(enters, 0.0)))
 
 
 def common_field(cameras: Sequence[Camera]) -> tuple[Floats, Floats] | None:

@@ -39,7 +39,8 @@ OPENCV: list[Style] = ["opencv-yaml", "opencv-xml", "opencv-json"]
 
 
 def pose(rng: np.random.Generator) -> Pose:
-    return Pose.from_arrays(rotation_matrix(rng.normal(0.0, 0.3, 3)), rng.normal(0.0, 300.0, 3))
+    """Return one from which `BOX` is seen."""
+    return Pose.from_arrays(rotation_matrix(rng.normal(0.0, 0.1, 3)), rng.normal(0.0, 100.0, 3))
 
 
 @pytest.fixture
@@ -404,6 +405,25 @@ def test_what_a_person_adds_is_checked(given: Supplement, message: str, tmp_path
     with pytest.raises(InvalidInput) as refused:
         read_calibration([saved(tmp_path / "view.yml", values)], given)
     assert message in str(refused.value)
+
+
+def test_a_volume_that_no_sensor_sees_is_refused(tmp_path: Path) -> None:
+    values = dict(
+        zip(["M1", "D1", "M4", "D4", "Rlp", "Tlp", "S"], [K1, D1, K2, D2, R, T, [1280, 1024]], strict=True)
+    )
+    path, sized = saved(tmp_path / "view.yml", values), replace(GIVEN, sizes={"P1": (1920, 1080)})
+    assert not any("of the volume" in remark for remark in read_calibration([path], sized).remarks)
+    behind = Box((-100.0, -80.0, -1100.0), (100.0, 80.0, -700.0))
+    with pytest.raises(InvalidInput, match=r"of .*view\.yml sees anything of the volume from -100"):
+        read_calibration([path], replace(sized, volume=behind))
+
+
+def test_a_sensor_that_sees_nothing_of_the_volume_is_remarked(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    away = replace(calibration, volume=Box((-1e5, -80.0, 700.0), (-9e4, 80.0, 1100.0)))
+    (remark,) = read_calibration([written(away, "opencv-yaml", tmp_path)], Supplement()).remarks
+    assert "C1, C12, P1: nothing of the volume from -100000, -80, 700 to -90000, 80, 1100 mm is in" in remark
 
 
 def test_a_file_that_says_everything_needs_no_names(calibration: Calibration, tmp_path: Path) -> None:

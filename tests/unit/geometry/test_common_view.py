@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sms_jobs.metrology.geometry.camera import Camera, Pose
-from sms_jobs.metrology.geometry.common_view import common_view
+from sms_jobs.metrology.geometry.common_view import common_view, sees_some_of
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
 LENS = Intrinsics(fx=1000.0, fy=1000.0, cx=49.5, cy=49.5)
@@ -29,6 +29,22 @@ def test_fields_of_view_overlap_by_what_both_see() -> None:
     # The one sees x from -50 to 50, the other from -20 to 80: 35 of 100 points.
     assert found.seen == found.usable == pytest.approx(0.35)
     assert found.least_angle_rad == pytest.approx(0.03, rel=1e-2)
+
+
+def test_a_box_is_seen_whether_it_is_smaller_or_larger_than_the_image() -> None:
+    """At 1000 mm the image is 100 mm wide, so that it ends at 50 mm."""
+    camera = looking()
+
+    def seen(middle: tuple[float, float, float], half: float) -> bool:
+        return sees_some_of(camera, np.array(middle) - half, np.array(middle) + half)
+
+    assert seen((0.0, 0.0, 0.0), 1e-3)
+    assert seen((49.0, 0.0, 0.0), 1e-3)
+    assert not seen((51.0, 0.0, 0.0), 1e-3)
+    # Around the camera: of points 2500 mm apart none is in the image, which is 1 m wide at the far side.
+    assert seen((1250.0, 1250.0, -1000.0), 1e4)
+    assert not seen((1200.0, 0.0, 0.0), 1e3)
+    assert not seen((0.0, 0.0, -2100.0), 1e3)
 
 
 def test_lines_of_sight_may_differ_too_much() -> None:
