@@ -86,6 +86,17 @@ _Surface: TypeAlias = Annotated[
         tag="shape",
     ),
 ]
+
+
+def _possible(motion: scenes.Deformation) -> scenes.Deformation:
+    """Return a motion that a specimen can make; what cannot is told with its place in the file."""
+    try:
+        scenes.refuse_inside_out(motion)
+    except InvalidInput as error:
+        raise PydanticCustomError("motion", "{why}", {"why": f"cannot be: {error}"}) from None
+    return motion
+
+
 _Motion: TypeAlias = Annotated[
     scenes.Deformation,
     flat(
@@ -99,6 +110,7 @@ _Motion: TypeAlias = Annotated[
         scenes.Bow,
         tag="motion",
     ),
+    AfterValidator(_possible),
 ]
 
 

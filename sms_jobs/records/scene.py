@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.artefacts import BallBar, Chessboard, CircleBoard, DotCylinder
 from sms_jobs.records.sensors import Rig
@@ -268,6 +269,22 @@ class Bow:
 Deformation: TypeAlias = (
     Rigid | PanTilt | UniaxialStrain | MidPointBending | HalvesApart | Disbond | StringerCrack | Bow
 )
+
+
+def refuse_inside_out(deformation: Deformation) -> None:
+    """Raise `InvalidInput` for a strain by which no length is left of a specimen: at -1 it is 0 long."""
+    if not isinstance(deformation, UniaxialStrain | StringerCrack):
+        return
+    strain, ratio = deformation.strain, deformation.poisson_ratio
+    for axis, along, given in (
+        ("x", strain, f"strain = {strain}"),
+        ("y", -ratio * strain, f"strain = {strain} with poisson_ratio = {ratio}"),
+    ):
+        if along <= -1.0:
+            raise InvalidInput(
+                f"{given} turns the specimen inside out: along {axis} it is strained by {along:.6g}, and "
+                "should be by more than -1, at which nothing is left of its length"
+            )
 
 
 @dataclass(frozen=True)

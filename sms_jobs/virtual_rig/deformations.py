@@ -31,6 +31,7 @@ from sms_jobs.records.scene import (
     Rigid,
     StringerCrack,
     UniaxialStrain,
+    refuse_inside_out,
 )
 
 AFFINE, BENDING, HALVES, DISBOND, BOW, CRACK = 0, 1, 2, 3, 4, 5
@@ -63,6 +64,7 @@ def bending_slack(deformation: Iterable[Deformation]) -> float:
 
 
 def _packed(deformation: Deformation) -> Floats:
+    refuse_inside_out(deformation)
     if isinstance(deformation, Rigid):
         rotation = Rotation.from_rotvec(deformation.rotation_rad).as_matrix()
         return _affine(rotation, np.array(deformation.translation_mm))

@@ -205,6 +205,7 @@ MISTAKES = [
         "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\ntranslation_mm = [0, 0, 1]",
         "sensor P1 has a rotation that is no right-handed rotation matrix",
     ),
+    ("strain = 0.0005714", "strain = -1.2", "states[S01].deformation[1] cannot be: strain = -1.2 turns"),
     ("low_mm = [-170.0", "low_mm = [170.0", "scene.volume needs every coordinate of low_mm below"),
     ("low_mm = [-170.0", "low_mm = [0, -170.0", "scene.volume.low_mm should have at most 3 items, not 4"),
     ("steps = 4", "steps = 2", "at least 3 phase steps, not 2"),

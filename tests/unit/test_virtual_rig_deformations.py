@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.records.scene import (
     Bow,
@@ -123,6 +124,25 @@ def test_halves_apart_leave_a_gap_without_material() -> None:
         carried_points(chain, np.array([[-1.0, 0, 0], [1.0, 0, 0]]))[:, 0], [-3.0, 3.0]
     )
     assert not followed_back(chain, 1.5, 0.0, 0.0, 0.0, 0.0, 1.0)[6]
+
+
+def test_a_specimen_is_not_turned_inside_out() -> None:
+    for strain, ratio in ((-0.999, 0.3), (3.3, 0.3), (5.0, -0.2), (0.0, 0.5)):
+        assert (
+            np.linalg.det(
+                gradients(packed_chain([UniaxialStrain(strain, ratio)], PLACEMENT), np.zeros((1, 3)))
+            )
+            > 0
+        )
+    for strain, ratio, said in (
+        (-1.0, 0.3, "strain = -1.0 turns the specimen inside out: along x it is strained by -1, and should"),
+        (-7.5, 0.3, "along x it is strained by -7.5, and should be by more than -1"),
+        (4.0, 0.3, "strain = 4.0 with poisson_ratio = 0.3 turns .*: along y it is strained by -1.2, and"),
+    ):
+        crack = StringerCrack(strain, ratio, 0.0, 0.0, 10.0, 0.0, 20.0, 0.1, 0.1)
+        for deformation in (UniaxialStrain(strain, ratio), crack):
+            with pytest.raises(InvalidInput, match=said):
+                packed_chain([deformation], PLACEMENT)
 
 
 def test_a_disbond_lifts_the_stringer_and_leaves_the_skin() -> None:
