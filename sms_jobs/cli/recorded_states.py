@@ -63,15 +63,19 @@ def _row(state: StateProgress) -> tuple[object, ...]:
     verdict = f"{state.judged} good" if state.judged else ""
     if state.doubtful:
         verdict = f"{state.doubtful} of {state.judged} doubtful"
-    processing = [f"{state.processing} to do"] if state.processing else []
-    processing += [f"{state.failed} failed"] if state.failed else []
+    processing = {
+        "to do": state.processing,
+        "failed": state.failed,
+        "skipped": state.skipped,
+        "cancelled": state.cancelled,
+    }
     return (
         state.label,
         state.load_n,
         ", ".join(f"{name} {value:g}" for name, value in state.channels.items()),
         state.recording,
         verdict,
-        ", ".join(processing),
+        ", ".join(f"{count} {what}" for what, count in processing.items() if count),
         state.displacement_mm,
         None if state.strain is None else f"{1e6 * state.strain:.0f}",
     )

@@ -28,7 +28,8 @@ from sms_jobs.records.statistic_names import (
 from sms_jobs.records.subject import Subject
 
 _ACTIVE = frozenset(state.value for state in ACTIVE)
-_UNSUCCESSFUL = frozenset(state.value for state in UNSUCCESSFUL)
+_SKIPPED, _CANCELLED = JobState.SKIPPED.value, JobState.CANCELLED.value
+_FAILED = frozenset(state.value for state in UNSUCCESSFUL) - {_SKIPPED, _CANCELLED}
 _LARGEST = {"correlate": maximum_displacement("mm"), "strain": MAXIMUM_PRINCIPAL_STRAIN}
 """By kind, the statistic that says at a glance what a state did."""
 
@@ -62,7 +63,16 @@ class _Jobs:
 
     recording: str = ""
     active: int = 0
-    unsuccessful: int = 0
+    failed: int = 0
+    skipped: int = 0
+    cancelled: int = 0
+
+    def count(self, state: str) -> None:
+        """Count a job that processes it by the state of the job."""
+        self.active += state in _ACTIVE
+        self.failed += state in _FAILED
+        self.skipped += state == _SKIPPED
+        self.cancelled += state == _CANCELLED
 
 
 def _newest_files(
@@ -103,14 +113,20 @@ def _newest_files(
 
 
 def _jobs(session: Session, campaign_id: int, wanted: ColumnElement[bool]) -> defaultdict[str, _Jobs]:
-    """Return by state what records and processes it; of jobs of one kind and subject the last counts."""
+    """Return by state what records and processes it; of jobs of one kind and subject the last counts.
+
+    One that was skipped or cancelled did nothing, so that what one before it did still holds.
+    """
     # States of jobs as they are stored: of thousands, making each a `JobState` takes as long as reading them.
     rows = session.execute(
         select(JobRow.kind, JobRow.subject, type_coerce(JobRow.state, String))
         .where(JobRow.campaign_id == campaign_id, wanted)
         .order_by(JobRow.position)
     )
-    last = {(kind, subject): state for kind, subject, state in rows}
+    last: dict[tuple[str, str], str] = {}
+    for kind, subject, state in rows:
+        if (kind, subject) not in last or state not in (_SKIPPED, _CANCELLED):
+            last[kind, subject] = state
     found: defaultdict[str, _Jobs] = defaultdict(_Jobs)
     labels = {subject: Subject.parse(subject).state for subject in {subject for _, subject in last}}
     for (kind, subject), state in last.items():
@@ -119,10 +135,8 @@ def _jobs(session: Session, campaign_id: int, wanted: ColumnElement[bool]) -> de
             continue
         if kind == ACQUIRE:
             found[label].recording = state
-        elif state in _ACTIVE:
-            found[label].active += 1
-        elif state in _UNSUCCESSFUL:
-            found[label].unsuccessful += 1
+        else:
+            found[label].count(state)
     return found
 
 
@@ -144,7 +158,9 @@ def _progress(
         sum(f.statistics.get(DOUBTS, 0.0) > 0.0 for f in recorded),
         channels,
         jobs.active,
-        jobs.unsuccessful,
+        jobs.failed,
+        jobs.skipped,
+        jobs.cancelled,
         *(_largest(files, kind) for kind in _LARGEST),
     )
 

@@ -25,8 +25,9 @@ class StateProgress:
         many are doubted.
     channels
         What was read before its sets, by name: of the last view.
-    processing, failed
-        Jobs that are to process it and have not ended, and that ended without success.
+    processing, failed, skipped, cancelled
+        Jobs that are to process it and have not ended; that failed, or wait for somebody to mend them; that
+        never ran because of another; and that somebody called off.
     displacement_mm, strain
         Largest displacement and largest principal strain of all views; None before they are computed.
     """
@@ -41,5 +42,7 @@ class StateProgress:
     channels: dict[str, float]
     processing: int
     failed: int
+    skipped: int
+    cancelled: int
     displacement_mm: float | None
     strain: float | None

@@ -112,6 +112,33 @@ def test_the_last_job_of_its_kind_counts(services: Services) -> None:
     assert (progress(services)[0].processing, progress(services)[0].failed) == (2, 0)
 
 
+def test_what_was_called_off_did_not_fail(services: Services) -> None:
+    def submitted(kind: str, state: JobState) -> None:
+        with services.catalogue.writing() as session:
+            for job in submit(session, "plate", [Request(kind, {}, ("S00",))], NOW).job_ids:
+                session.get_one(JobRow, job).state = state
+
+    def told() -> tuple[str, int, int, int]:
+        found = progress(services)[0]
+        return found.recording, found.failed, found.skipped, found.cancelled
+
+    with services.catalogue.writing() as session:
+        add(session, "measurement", "S00", "C1P1", 1, doubts=0.0)
+        add(session, "measurement", "S00", "C1P2", 1, doubts=0.0)
+    submitted("reconstruct", JobState.CANCELLED)
+    assert told() == ("recorded", 0, 0, 2)
+    # Repeats that came to nothing, as of a schedule, take nothing away from what was done before.
+    for state in (JobState.SUCCEEDED, JobState.CANCELLED, JobState.SKIPPED):
+        for kind in ("acquire", "reconstruct"):
+            submitted(kind, state)
+        assert told() == ("recorded", 0, 0, 0)
+    submitted("reconstruct", JobState.QUARANTINED)
+    submitted("reconstruct", JobState.CANCELLED)
+    assert told() == ("recorded", 2, 0, 0)
+    submitted("simulate", JobState.SKIPPED)
+    assert told() == ("recorded", 2, 1, 0)
+
+
 def test_what_was_imported_is_recorded_and_judged_by_nobody(services: Services) -> None:
     with services.catalogue.writing() as session:
         add(session, "measurement", "S00", "C1", 1)
