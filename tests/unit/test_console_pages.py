@@ -141,6 +141,15 @@ def test_a_choice_without_effect_is_refused_over_http_as_well(desk: httpx2.Clien
         assert "by `view` has no effect on it: submit merge without it" in refused.text
 
 
+def test_who_records_no_state_is_told_to_choose_one(desk: httpx2.Client) -> None:
+    before = desk.get("/api/v1/jobs").json()
+    refused = desk.post("/api/v1/recordings", json={"campaign": "plate", "states": []})
+    assert refused.status_code == 422
+    said = "no state of plate is chosen: choose at least one that is to be recorded"
+    assert refused.json()["error"] == said
+    assert desk.get("/api/v1/jobs").json() == before
+
+
 def test_whoever_is_not_known_is_led_to_the_door_and_back(named: httpx2.Client) -> None:
     named.cookies.clear()
     away = named.get("/jobs?kind=strain")

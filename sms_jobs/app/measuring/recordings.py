@@ -138,8 +138,10 @@ def record(
     NotFound
         There is no such campaign or state.
     InvalidInput
-        The rig lacks what they are recorded with.
+        No state is named, or the rig lacks what they are recorded with.
     """
+    if not states:
+        raise InvalidInput(f"no state of {campaign} is chosen: choose at least one that is to be recorded")
     refuse_lacking(_plan(services, campaign, states).lacking)
     requests = recordings.requests(states, ask=ask, process=process)
     now, terms = datetime.now(UTC), Terms(by=services.actor.name)

@@ -26,7 +26,8 @@ class NewRecordings(RequestBody):
     """States that are to be recorded."""
 
     campaign: Text
-    states: Annotated[Texts, Field(min_length=1, description="Labels, in order.")]
+    # That there is one the use case asks for, in words for whoever has ticked none.
+    states: Annotated[Texts, Field(description="Labels, in order.", json_schema_extra={"minItems": 1})]
     ask: Annotated[bool, Field(description="Ask an operator about a doubtful set.")] = False
     process: Annotated[bool, Field(description="Process each state once it is recorded.")] = False
 
