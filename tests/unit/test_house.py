@@ -223,6 +223,17 @@ def what_reads_by_name(source: Source) -> Iterator[str]:
             yield f"{source.name}:{node.lineno}"
 
 
+def what_only_looks_frozen(source: Source) -> Iterator[str]:
+    """Yield frozen classes that begin with an empty list, dict or set of their own, to be filled later."""
+    for node in source.nodes:
+        if not isinstance(node, ast.ClassDef):
+            continue
+        frozen = "dataclass(frozen=True)" in map(ast.unparse, node.decorator_list)
+        for one in node.body if frozen else ():
+            if re.search(r"default_factory=(list|dict|set), init=False", ast.unparse(one)):
+                yield f"{source.name}: {node.name}"
+
+
 Rule = Callable[[Source], Iterator[str]]
 RULES: tuple[Rule, ...] = (
     imported_names,
@@ -234,6 +245,7 @@ RULES: tuple[Rule, ...] = (
     what_seals_or_withdraws,
     what_takes_subjects_apart,
     what_reads_by_name,
+    what_only_looks_frozen,
 )
 
 
@@ -278,6 +290,10 @@ def reading() -> Reading:
 
 def test_a_module_fits_in_the_head() -> None:
     assert reading().all_of(what_is_too_long) == []
+
+
+def test_what_is_frozen_keeps_nothing_that_changes() -> None:
+    assert reading().all_of(what_only_looks_frozen) == []
 
 
 def test_what_a_function_takes_fits_in_the_head() -> None:

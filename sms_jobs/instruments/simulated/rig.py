@@ -16,9 +16,12 @@ from sms_jobs.virtual_rig.light import Light
 from sms_jobs.virtual_rig.rendering import render
 
 
-@dataclass(frozen=True)
+@dataclass
 class SimulatedRig:
     """A `Recorder` made of light rays.
+
+    It keeps the light of the camera that it recorded last until another is asked for: at 1 Mpx 84 MB for each
+    projector, as much as following the rays of one camera takes at least.
 
     Attributes
     ----------
@@ -40,7 +43,7 @@ class SimulatedRig:
     recorded_at: datetime
     threads: int = 1
     views: tuple[str, ...] = ()
-    _lights: dict[str, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _lights: dict[str, Light] = field(default_factory=dict, init=False, repr=False)
 
     def record(
         self, view: str, sequence: FringeSequence, dimming: NDArray[np.float32] | None = None
@@ -76,7 +79,7 @@ class SimulatedRig:
                 simulation = self._simulation(other)
                 if simulation.camera == asked.camera and simulation.projector and asked.projector:
                     together[other] = simulation
-            self._lights.clear()
+            self._lights = {}  # let go before there is more
             lights = shining(list(together.values()), self.threads)
-            self._lights.update(zip(together, lights, strict=True))
+            self._lights = dict(zip(together, lights, strict=True))
         return self._lights[view]
