@@ -61,6 +61,12 @@ def test_a_run_is_shown_and_dropped_where_somebody_says_so(home: Path) -> None:
         ("job submit simulate --where load_N>1 --wait", InvalidInput, "--wait is for one campaign"),
         ("job submit simulate --where load_N>1e6 --run today", NotFound, "no state meets 'load_N>1e6'"),
         ("job submit pipeline --where load_N>1 --run today", NotFound, "needs the measurement"),
+        (
+            "job watch 3f2a -c plate",
+            InvalidInput,
+            "name jobs or a campaign, not both: 3f2a and `campaign` plate",
+        ),
+        ("job cancel 3f2a 4e -c plate", InvalidInput, "not both: 3f2a, 4e and `campaign` plate"),
         ("job submit report -c plate --state S01", InvalidInput, "by `state` has no effect on it"),
         ("schedule add n report -c plate --every 1h --state S01", InvalidInput, "by `state` has no effect"),
         ("schedule add n simulate --every 1h", InvalidInput, "--campaign, or states with --where"),

@@ -124,7 +124,14 @@ def log(services: Services, prefix: str) -> JobLog:
 
 @use_case(Right.READ)
 def choose(services: Services, prefixes: Sequence[str], campaign: str | None) -> Chosen:
-    """Choose the named jobs; if none is named, all active ones, or a campaign's."""
+    """Choose the named jobs; if none is named, all active ones, or a campaign's.
+
+    Raises `InvalidInput` where both are named, of which one would say nothing.
+    """
+    if prefixes and campaign is not None:
+        raise InvalidInput(
+            f"name jobs or a campaign, not both: {', '.join(prefixes[:3])} and `campaign` {campaign}"
+        )
     with services.catalogue.reading() as session:
         if prefixes:
             return chosen.by_ids(inquiry.find_jobs(session, prefixes))
