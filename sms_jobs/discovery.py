@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sms_jobs.errors import InvalidInput
+from sms_jobs.errors import InvalidInput, did_you_mean
 
 T = TypeVar("T")
 
@@ -47,5 +47,6 @@ def told_names(package: str, constant: str) -> list[str]:
 def chosen(found: Mapping[str, T], name: str, what: str) -> T:
     """Return the declaration of that name; raise `InvalidInput`, naming what there is, if there is none."""
     if name not in found:
-        raise InvalidInput(f"there is no {what} '{name}'; choose one of {', '.join(found)}")
+        meant = did_you_mean(name, found)
+        raise InvalidInput(f"there is no {what} '{name}'; {meant}choose one of {', '.join(found)}")
     return found[name]

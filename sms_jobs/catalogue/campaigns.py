@@ -139,10 +139,10 @@ def campaign_id(session: Session, name: str) -> int:
     """Return the number of a campaign; raise `NotFound` with the names that there are."""
     number = session.scalar(select(CampaignRow.id).where(CampaignRow.name == name))
     if number is None:
-        latest = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc()).limit(5)).all()
+        known = session.scalars(select(CampaignRow.name).order_by(CampaignRow.id.desc())).all()
         hint = (
-            f"the latest are {', '.join(latest)}"
-            if latest
+            f"{did_you_mean(name, known)}the latest are {', '.join(known[:5])}"
+            if known
             else "there is none yet; see 'sms campaign create --help'"
         )
         raise NotFound(f"there is no campaign '{name}'; {hint}")

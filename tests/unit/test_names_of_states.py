@@ -54,6 +54,16 @@ def test_a_state_that_no_campaign_has_is_not_found(home: Path, what: str) -> Non
         assert "there is no such" in found.stderr
 
 
+def test_campaigns_and_kinds_that_there_are_not_are_refused_with_the_one_like_it(home: Path) -> None:
+    for words, code, said in (
+        ("job list -c palte", NOT_FOUND, "no campaign 'palte'; did you mean 'plate'; the latest are plate"),
+        ("job submit strian -c plate", USAGE, "no job kind 'strian'; did you mean 'strain'; choose one of"),
+    ):
+        refused = inside(*words.split(), "--home", str(home))
+        assert (refused.returncode, refused.stderr.count("\n")) == (code, 1)
+        assert said in refused.stderr
+
+
 def test_names_are_alike_whatever_their_case_and_only_where_they_are() -> None:
     known = ("S00", "S01", "S10")
     assert did_you_mean("s01", known) == "did you mean 'S01'; "

@@ -44,7 +44,7 @@ def test_a_kind_that_there_is_not_is_no_empty_list(home: Path) -> None:
     initialised(home)
     refused = inside("job", "list", "--kind", "meshes", "--home", str(home))
     assert refused.returncode == 2
-    assert "there is no job kind 'meshes'; choose one of acquire, " in refused.stderr
+    assert "there is no job kind 'meshes'; did you mean 'mesh'; choose one of acquire, " in refused.stderr
 
 
 def test_waiting_for_what_has_ended_does_not_say_that_there_is_nothing(home: Path) -> None:

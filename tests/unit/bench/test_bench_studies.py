@@ -22,7 +22,7 @@ def line(say: object) -> Outcome:
 def test_studies_are_found_by_themselves() -> None:
     assert {"table-6", "ranging-bound", "two-returns", "plate-mirror", "glossy-surface"} <= set(all_studies())
     assert all(study.name == name and study.summary for name, study in all_studies().items())
-    with pytest.raises(InvalidInput, match="no study 'table-7'; choose one of"):
+    with pytest.raises(InvalidInput, match="no study 'table-7'; did you mean 'table-6'; choose one of"):
         study_named("table-7")
 
 
