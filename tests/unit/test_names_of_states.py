@@ -54,6 +54,21 @@ def test_a_state_that_no_campaign_has_is_not_found(home: Path, what: str) -> Non
         assert "there is no such" in found.stderr
 
 
+@pytest.mark.parametrize("what", ["find", "states"])
+def test_a_view_that_no_campaign_has_is_not_found(home: Path, what: str) -> None:
+    at = ("--home", str(home))
+    for of, said in (
+        ((), "no campaign has a view C9; there are C1P1, C1P2\n"),
+        (("-c", "plate"), "campaign plate has no view C9; there are C1P1, C1P2\n"),
+    ):
+        refused = inside("data", what, "--view", "C9", *of, *at)
+        assert (refused.returncode, refused.stderr) == (NOT_FOUND, f"error: {said}")
+    assert "no campaign has a view ''; there" in inside("data", what, "--view", "", *at).stderr
+    # One that is there and has nothing yet, and what a query asks itself, have an answer, which is none.
+    for there in (("--view", "C1P2", "--kind", "measurement"), ("measurement where view = C9",)):
+        assert inside("data", "find", *there, *at).stderr == "there is no such file\n"
+
+
 def test_campaigns_and_kinds_that_there_are_not_are_refused_with_the_one_like_it(home: Path) -> None:
     for words, code, said in (
         ("job list -c palte", NOT_FOUND, "no campaign 'palte'; did you mean 'plate'; the latest are plate"),

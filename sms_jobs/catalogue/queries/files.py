@@ -29,7 +29,7 @@ from sms_jobs.catalogue.queries.language import (
     conjuncts,
 )
 from sms_jobs.catalogue.queries.names import Field
-from sms_jobs.catalogue.queries.unknown_states import refuse_unknown_state
+from sms_jobs.catalogue.queries.unknown_places import refuse_unknown_places
 from sms_jobs.catalogue.tables.calibrations import CalibrationUseRow
 from sms_jobs.catalogue.tables.files import FileRow
 from sms_jobs.errors import InvalidInput
@@ -60,14 +60,14 @@ def find_page(
     InvalidInput
         A name is not known, or it is compared with what it cannot be compared with.
     NotFound
-        There is no such campaign or calibration, or none of the state that the query is restricted to.
+        There is no such campaign or calibration, or no state or view that the query is restricted to.
     """
     _walk_indexes(session)
     fields = Fields(session, vocabulary)
     asked, limit = _asked(fields, query, portion.columns), portion.limit
     ids = session.scalars(statement(session, query, fields, after=portion.after, limit=limit + 1)).all()
     if not ids and portion.after is None:
-        refuse_unknown_state(session, query)
+        refuse_unknown_places(session, query)
     following = ids[limit - 1] if len(ids) > limit else None
     return Page(tuple(asked), tuple(_found_files(session, ids[:limit], asked)), following)
 

@@ -29,7 +29,7 @@ from sms_jobs.catalogue.queries.language import (
 )
 from sms_jobs.catalogue.queries.names import Field
 from sms_jobs.catalogue.queries.state_fields import SEEN, ResultStatistic, StateField, StateFields
-from sms_jobs.catalogue.queries.unknown_states import refuse_unknown_state
+from sms_jobs.catalogue.queries.unknown_places import refuse_unknown_places
 from sms_jobs.catalogue.tables.files import FileRow, StatisticRow
 from sms_jobs.catalogue.tables.states import LoadStateRow
 from sms_jobs.errors import InvalidInput, NotFound
@@ -62,7 +62,7 @@ def find_page(
     InvalidInput
         A name is not known, or it is compared with what it cannot be compared with.
     NotFound
-        There is no such campaign, no state that the query is restricted to, or none to go on after.
+        There is no such campaign, no state or view that the query is restricted to, or none to go on after.
     """
     if query.kind is not None:
         Fields(session, vocabulary).refuse_unknown_kind(query.kind, query.text)
@@ -75,7 +75,7 @@ def find_page(
     in_order = found.order_by(LoadStateRow.campaign_id.desc(), LoadStateRow.position, LoadStateRow.id)
     ids = session.scalars(in_order.limit(limit + 1)).all()
     if not ids and portion.after is None:
-        refuse_unknown_state(session, query)
+        refuse_unknown_places(session, query)
     following = ids[limit - 1] if len(ids) > limit else None
     by_view = tuple(name for name, one in asked.items() if one.by_view)
     told = tuple(_states(session, ids[:limit], asked, dataset_type, conditions))
