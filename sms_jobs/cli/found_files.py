@@ -62,6 +62,7 @@ Out = Annotated[
     Path | None, typer.Option("--out", "-o", help="File to write, .csv or .parquet; else the screen.")
 ]
 
+_NO_FILE = "there is no such file"
 _SHOWN = ("file", "kind", "subject", "type", "size", "created")
 _WRITTEN = ("file", "kind", "subject", "path", "size_bytes", "content_hash", "created", "job")
 
@@ -103,19 +104,28 @@ def find(
     """
     asked = finding.question(query or "", kind=kind, campaign=campaign, state=state, view=view)
     portion = finding.portion(columns, after, limit)
-    tell(home, lambda _: asked, FindOptions(portion, form, out, force, as_json))
+    any_at_all = query or after or any(one is not None for one in (kind, campaign, state, view))
+    empty = (
+        _NO_FILE if any_at_all else "there is no file yet; 'sms campaign create' and 'sms import' make some"
+    )
+    tell(home, lambda _: asked, FindOptions(portion, form, out, force, as_json), empty)
 
 
-def tell(home: Path | None, ask: Callable[[bootstrap.Services], Question], options: FindOptions) -> None:
-    """Find files and print or write them."""
+def tell(
+    home: Path | None,
+    ask: Callable[[bootstrap.Services], Question],
+    options: FindOptions,
+    empty: str = _NO_FILE,
+) -> None:
+    """Find files and print or write them; `empty` is said where there are none."""
     form = form_of(options)
     with bootstrap.services(home) as services:
         pages = finding.find(services, ask(services), options.portion)
         first = next(pages)
-        _tell(first, chain([first], pages), form, options)
+        _tell(first, chain([first], pages), form, options, empty)
 
 
-def _tell(first: Page, pages: Iterator[Page], form: Format, options: FindOptions) -> None:
+def _tell(first: Page, pages: Iterator[Page], form: Format, options: FindOptions, empty: str) -> None:
     last, names = first.next, options.portion.columns
 
     def files() -> Iterator[Found]:
@@ -137,7 +147,7 @@ def _tell(first: Page, pages: Iterator[Page], form: Format, options: FindOptions
         return
     elif form is Format.TABLE:
         columns = names or [*_SHOWN, *(c for c in first.columns if c not in _SHOWN)]
-        output.print_table(columns, (_row(one, columns) for one in files()), empty="there is no such file")
+        output.print_table(columns, (_row(one, columns) for one in files()), empty=empty)
     else:
         columns = names or [*_WRITTEN, *(c for c in first.columns if c not in _WRITTEN)]
         write(form, options, columns, (_row(one, columns) for one in files()), "files")

@@ -237,6 +237,7 @@ def list_(
             output.print_json_list(found)
             return
         left = None if campaign is None else jobs_.remaining(services, campaign)
+    of_campaign = "" if campaign is None else f" of {campaign}"
     output.print_table(
         ["job", "kind", "subject", "by", "state", "%", "seconds", "message"],
         [
@@ -253,8 +254,8 @@ def list_(
             for j in found
         ],
         empty="there is no such job"
-        if campaign or state or kind
-        else "there are no jobs yet; 'sms job submit' makes some",
+        if state or kind
+        else f"there are no jobs{of_campaign} yet; 'sms job submit' makes some",
     )
     if left is not None and left.outlook is not None:
         jobs = (

@@ -37,7 +37,17 @@ def test_a_list_without_jobs_says_whether_some_were_left_out(home: Path) -> None
     initialised(home)
     listed = inside("job", "list", "--home", str(home))
     assert listed.stderr == "there are no jobs yet; 'sms job submit' makes some\n"
+    make_home(home, {})
+    listed = inside("job", "list", "-c", "plate", "--home", str(home))
+    assert listed.stderr == "there are no jobs of plate yet; 'sms job submit' makes some\n"
     assert inside("job", "list", "--kind", "mesh", "--home", str(home)).stderr == "there is no such job\n"
+
+
+def test_an_archive_without_files_says_so(home: Path) -> None:
+    initialised(home)
+    found = inside("data", "find", "--home", str(home))
+    assert found.stderr == "there is no file yet; 'sms campaign create' and 'sms import' make some\n"
+    assert inside("data", "find", "--kind", "mesh", "--home", str(home)).stderr == "there is no such file\n"
 
 
 def test_a_kind_that_there_is_not_is_no_empty_list(home: Path) -> None:
