@@ -63,6 +63,7 @@ def test_a_view_that_no_campaign_has_is_not_found(home: Path, what: str) -> None
     ):
         refused = inside("data", what, "--view", "C9", *of, *at)
         assert (refused.returncode, refused.stderr) == (NOT_FOUND, f"error: {said}")
+    assert "view c1p1; did you mean 'C1P1'; there are" in inside("data", what, "--view", "c1p1", *at).stderr
     assert "no campaign has a view ''; there" in inside("data", what, "--view", "", *at).stderr
     # One that is there and has nothing yet, and what a query asks itself, have an answer, which is none.
     for there in (("--view", "C1P2", "--kind", "measurement"), ("measurement where view = C9",)):

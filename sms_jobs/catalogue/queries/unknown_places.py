@@ -58,5 +58,6 @@ def _refuse_unknown_view(session: Session, view: str, campaign: str | None) -> N
     recorded = (str(one) for name in planned for one in view_of(name).recordings)
     if view not in {*planned, *recorded}:
         who = "no campaign has a view" if campaign is None else f"campaign {campaign} has no view"
-        there = f"; there are {', '.join(planned[:_MOST_VIEWS])}" if planned else ""
+        meant = did_you_mean(view, planned)
+        there = f"; {meant}there are {', '.join(planned[:_MOST_VIEWS])}" if planned else ""
         raise NotFound(f"{who} {view or repr(view)}{there}")
