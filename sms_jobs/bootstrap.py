@@ -207,10 +207,11 @@ def _account() -> str:
 
 
 def _require_home(settings: Settings) -> None:
-    if not settings.home.is_dir():
-        raise ConfigurationError(
-            f"there is no home at {settings.home}; run 'sms init --home {settings.home}'"
-        )
+    if settings.home.is_dir():
+        return
+    if settings.home.exists():
+        raise ConfigurationError(f"{settings.home} is no folder, and a home is one; give another `home`")
+    raise ConfigurationError(f"there is no home at {settings.home}; run 'sms init --home {settings.home}'")
 
 
 def _archive(settings: Settings) -> Archive:
@@ -237,10 +238,12 @@ def _current_catalogue(settings: Settings) -> Catalogue:
             catalogue.close()
             raise
     except CatalogueEmpty as error:
+        found = str(error).partition(";")[0]
         if not _archive_has_files(settings):
-            raise
+            # Named, since it may be another home than the one that 'sms init' makes where none is given.
+            raise CatalogueEmpty(f"{found}; run 'sms init --home {settings.home}'") from error
         raise CatalogueDamaged(
-            f"{str(error).partition(';')[0]}, although there are files in the archive "
+            f"{found}, although there are files in the archive "
             f"{settings.archive_root}; end "
             "the service, then restore a backup, or run 'sms archive reindex', which enters these files again"
         ) from error

@@ -43,6 +43,19 @@ def test_a_list_without_jobs_says_whether_some_were_left_out(home: Path) -> None
     assert inside("job", "list", "--kind", "mesh", "--home", str(home)).stderr == "there is no such job\n"
 
 
+def test_who_has_no_home_yet_is_told_how_to_make_that_one(home: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.touch()
+    for at, said in (
+        (home, f"there is no catalogue at {home}/catalogue.sqlite; run 'sms init --home {home}'"),
+        (tmp_path / "none", f"run 'sms init --home {tmp_path}/none'"),
+        (plan, f"{plan} is no folder, and a home is one; give another --home"),
+    ):
+        refused = inside("campaign", "list", "--home", str(at))
+        assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+        assert refused.stderr.endswith(f"{said}\n")
+
+
 def test_an_archive_without_files_says_so(home: Path) -> None:
     initialised(home)
     found = inside("data", "find", "--home", str(home))
