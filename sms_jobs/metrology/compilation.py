@@ -20,6 +20,7 @@ from numba.core.registry import CPUDispatcher
 
 from sms_jobs.metrology.kernel_cache import cached
 from sms_jobs.metrology.kernel_linking import InnerCompiler, keep_copies_apart
+from sms_jobs.metrology.kernel_passes import KernelCompiler
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -27,6 +28,7 @@ _OPTIONS: dict[str, Any] = {
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,  # to be called from C, which nobody does and takes a twentieth of compilation
+    "pipeline_class": KernelCompiler,
 }
 _REORDERED = {"reassoc", "contract"}
 

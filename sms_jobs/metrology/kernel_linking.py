@@ -15,6 +15,8 @@ from numba.core import codegen
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import Compiler
 
+from sms_jobs.metrology.kernel_passes import KernelCompiler
+
 _ENVIRONMENT = "_ZN08NumbaEnv"
 
 
@@ -63,7 +65,7 @@ def _environments_of(module: Any) -> Any:
     return cast(Any, codegen).ll.parse_assembly(text)
 
 
-class InnerCompiler(Compiler):
+class InnerCompiler(KernelCompiler, Compiler):
     """Compiles what only other kernels call."""
 
     def _compile_core(self) -> Any:
