@@ -108,7 +108,8 @@ class KernelCache(FunctionCache):
         """Save a kernel that was compiled, where that is possible, and give the turn away."""
         try:
             with suppress(OSError):  # it works without being saved
-                super().save_overload(sig, data)
+                # without the source and its types, to be read by people: a hundredth of compiling
+                super().save_overload(sig, data._replace(type_annotation=None))
                 self._note(sig)
         finally:
             self.give_turn()
