@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import summing_kernel
+from sms_jobs.metrology.compilation import uncounted_summing_kernel
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def factorise(a: Floats) -> bool:
     """Replace the lower triangle by its Cholesky factor; say whether the matrix was positive definite."""
     n = len(a)
@@ -32,7 +32,7 @@ def factorise(a: Floats) -> bool:
     return True
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def back_substitute(factor: Floats, x: Floats) -> None:
     """Replace x (n,) by the solution of L L^T y = x."""
     n = len(x)
@@ -47,7 +47,7 @@ def back_substitute(factor: Floats, x: Floats) -> None:
             x[k] -= factor[i, k] * x[i]
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _inverse(factor: Floats, lower: Floats, result: Floats) -> None:
     """Fill result (n, n) with (L L^T)^-1, by way of lower = L^-1; both are zero before."""
     n = len(factor)

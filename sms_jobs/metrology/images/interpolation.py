@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _cubic_weights(
     s: float,
     weights: Floats,
@@ -87,7 +87,7 @@ def _plane_weights(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _end_label(
     labels: Labels,
     x: float,

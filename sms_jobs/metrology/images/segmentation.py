@@ -138,7 +138,7 @@ def _square(x: float, y: float, z: float) -> float:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _slopes_of_five(xyz: Floats, valid: Mask, row: int, axis: int, slope: Floats, whole: Mask) -> None:
     """Fill (columns,) which pixels of a row have two valid ones on either side, and how steep they are."""
     rows, columns = valid.shape
@@ -201,7 +201,7 @@ def surface_gradient(xyz: Floats, valid: Mask, half_width: int = 2, threads: int
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _look_closer(
     xyz: Floats, valid: Mask, sigma: Floats, limit: Floats, row: int, down: int, right: int, closer: Mask
 ) -> None:
@@ -276,7 +276,7 @@ def _mark_jumps(
                     jump[r, c] = True
 
 
-@kernel
+@uncounted_kernel
 def _grow(
     xyz: Floats, free: Mask, limit: Floats, labels: NDArray[np.int32], grown: NDArray[np.int32]
 ) -> None:

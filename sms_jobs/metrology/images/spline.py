@@ -18,7 +18,7 @@ from sms_jobs.metrology.compilation import (
     inlined,
     inner,
     kernel,
-    summing_kernel,
+    uncounted_kernel,
     uncounted_summing_kernel,
     variable,
 )
@@ -73,7 +73,7 @@ _LANES = 8  # points that one instruction may take
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _mirrored_sum(image: Floats, pole: float, column: int) -> float:
     """Return the sum of pole^k times the numbers of a column that is mirrored at both ends, for ever."""
     total, power = 0.0, 1.0
@@ -88,7 +88,7 @@ def _mirrored_sum(image: Floats, pole: float, column: int) -> float:
     return float(total / (1.0 - power))
 
 
-@summing_kernel
+@uncounted_summing_kernel
 def _filter_columns(image: Floats, pole: float) -> None:
     """Filter the columns of an image in place by the recursions of a pole, down and up, some at a time."""
     rows, columns = image.shape
@@ -303,7 +303,7 @@ def _quintic_points(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _cubic_taps(a: float, local: bool) -> tuple[float, float, float, float]:
     """Return six times the weights of four coefficients at 0 <= a <= 1 past the second, or of four pixels.
 

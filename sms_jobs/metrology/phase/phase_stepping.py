@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import inner, kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 
 
 def stepping_weights(steps: int) -> Floats:
@@ -56,7 +56,7 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11 = _ARCTANGENT
 
 
 @inner
-@kernel
+@uncounted_kernel
 def angle(sine: float, cosine: float) -> float:
     """Return the angle of (cosine, sine) in -pi .. pi, 0 for (0, 0), to 1e-10 rad.
 
@@ -78,7 +78,7 @@ def angle(sine: float, cosine: float) -> float:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def add_frame(
     frame: NDArray[Any], weight_c: float, weight_s: float, cosine: Floats, sine: Floats, total: Floats
 ) -> None:
@@ -91,7 +91,7 @@ def add_frame(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def phase_and_power(cosine: Floats, sine: Floats, phase: Floats, power: Floats, total: Floats) -> None:
     """Turn one row of C and S into the wrapped phase in rad and B^2, and add B^2 to the total."""
     for j in range(cosine.size):
@@ -101,7 +101,7 @@ def phase_and_power(cosine: Floats, sine: Floats, phase: Floats, power: Floats, 
 
 
 @inner
-@kernel
+@uncounted_kernel
 def mark_saturated(frame: NDArray[Any], full_scale: int, power: Floats) -> None:
     """Take all weight from a row's pixels that are at full scale in one of the frames behind them."""
     for j in range(frame.size):

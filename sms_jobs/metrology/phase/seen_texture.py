@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, uncounted_kernel
 from sms_jobs.metrology.images.masks import at_edge
 
 Floating = NDArray[np.floating]
@@ -110,7 +110,7 @@ def roughness(brightness: Floating) -> Floats:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _difference(before: float, here: float, after: float) -> float:
     """Return the slope at a pixel from valid neighbours (NaN if not); the gentler side where they disagree.
 
@@ -126,7 +126,7 @@ def _difference(before: float, here: float, after: float) -> float:
     return forth if abs(forth) < abs(back) else back
 
 
-@kernel
+@uncounted_kernel
 def _shift_rows(
     omega: Floats,
     valid: Mask,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import InvalidInput
 from sms_jobs.metrology.arrays import Floats, Ints, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 from sms_jobs.metrology.phase.frequency_search import find_orders
 from sms_jobs.metrology.phase.phase_stepping import (
     add_frame,
@@ -80,7 +80,7 @@ class CoarseGradient:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _climb(
     below: Floats,
     phase_a: Floats,
@@ -101,7 +101,7 @@ def _climb(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _add_to_fit(omega: Floats, t: float, power: Floats, moments: Floats) -> None:
     """Add one density of one row to the sums of B^2 t phi, B^2 t^2, B^2 and the number of densities."""
     for j in range(omega.size):
@@ -114,7 +114,7 @@ def _add_to_fit(omega: Floats, t: float, power: Floats, moments: Floats) -> None
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares: Floats) -> None:
     """Add B^2 (phi - omega t)^2 of one density of one row."""
     for j in range(omega.size):
@@ -123,7 +123,7 @@ def _add_residual(rung: Floats, t: float, power: Floats, omega: Floats, squares:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _finish(
     moments: Floats, squares: Floats, omega: Floats, maps: Singles, noise_variance: Floats, q: int, least: int
 ) -> None:
@@ -141,7 +141,7 @@ def _finish(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _mark_ambiguous(
     worst: Floats,
     limits: tuple[float, float],

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, uncounted_kernel
 
 _REACH = 2  # px to the outermost pixel of a parabola, and to the outermost line
 _LIMIT = 20.0  # deviations that the five may lie off their parabola: what is farther is no bend but a step
@@ -23,7 +23,7 @@ _OFF = 2.0 / 7.0 / sqrt(1.0 / 10.0 + 1.0 / 70.0)
 """By how much a step of 1 bends the parabola, for each unit that it is off it: the most of any place."""
 
 
-@kernel
+@uncounted_kernel
 def _bends(
     inverse: Floats, sigma: Floats, down: int, start: int, stop: int, bent: Floats, off: Floats
 ) -> None:
@@ -55,7 +55,7 @@ def _bends(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _nearest(bent: Floats, usable: Mask, row: int, column: int, down: int) -> tuple[int, int]:
     """Return the nearest pixel along an axis that has a bend, over usable ones; (-1, -1) if there is none."""
     if not usable[row, column]:
@@ -71,7 +71,7 @@ def _nearest(bent: Floats, usable: Mask, row: int, column: int, down: int) -> tu
     return -1, -1
 
 
-@kernel
+@uncounted_kernel
 def _add_means(
     usable: Mask, bent: Floats, off: Floats, down: int, start: int, stop: int, half: Floats, unsure: Floats
 ) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 from sms_jobs.metrology.geometry.camera import Pose
 from sms_jobs.metrology.geometry.lens import Intrinsics
 
@@ -46,7 +46,7 @@ of the other miss it from the same side or are not there; it lies between those 
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _plane(
     inverse: Floats, sigma: Floats, row: int, column: int, down: int, right: int, rough: float, at: Floats
 ) -> bool:
@@ -98,7 +98,7 @@ def _plane(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _mark_steps(
     inverse: Floats, sigma: Floats, row: int, footprint: float, stepped: NDArray[np.uint8]
 ) -> None:
@@ -138,7 +138,7 @@ def _mark_steps(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _missed(
     inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, limits: Limits, at: Floats
 ) -> int:
@@ -162,7 +162,7 @@ def _missed(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _within(inverse: Floats, pixel: Pixel, down: int, right: int) -> bool:
     """Return whether the image goes on along an axis as far as planes may reach."""
     row, column = pixel
@@ -171,7 +171,7 @@ def _within(inverse: Floats, pixel: Pixel, down: int, right: int) -> bool:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _along(
     inverse: Floats, sigma: Floats, pixel: Pixel, down: int, right: int, limits: Limits, at: Floats
 ) -> int:
@@ -190,7 +190,7 @@ def _along(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _is_mixed(inverse: Floats, sigma: Floats, pixel: Pixel, stepped: int, limits: Limits, at: Floats) -> bool:
     """Return whether a pixel lies between surfaces along a stepped axis, or alone and not held along two."""
     alone, holding = False, 0
@@ -235,7 +235,7 @@ def _mixed_rows(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _excess(
     inverse: Floats,
     sigma: Floats,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 from sms_jobs.metrology.small_systems import back_substitute, factorise
 
 FITTED = 0
@@ -111,7 +111,7 @@ def _near_edge(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _first_levels(pixels: Floats, count: int, p: Floats) -> bool:  # pragma: no cover - compiled
     """Set the levels of ground and ink to the means outside and inside; False where one has no pixel."""
     outside, n_outside, inside, n_inside, deepest, depth = 0.0, 0, 0.0, 0, 0.0, 0.0
@@ -173,7 +173,7 @@ def _normal_equations(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _step(
     p: Floats, size: float, variance: float, normal: Floats, right: Floats, most: float
 ) -> float:  # pragma: no cover - compiled

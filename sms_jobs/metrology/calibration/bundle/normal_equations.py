@@ -18,7 +18,7 @@ from sms_jobs.metrology.calibration.bundle.residuals import (
     ray_distances,
     sphere_block,
 )
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, kernel, uncounted_kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE, PER_SENSOR
 from sms_jobs.metrology.geometry.transforms import rotation_vector
 
@@ -193,7 +193,7 @@ class Normal:
     observed: Observed = field(repr=False)
 
 
-@kernel
+@uncounted_kernel
 def _scatter(
     local: Floats, vector: Floats, index: Ints, kinds: Ints, normal: Floats, gradient: Floats
 ) -> None:

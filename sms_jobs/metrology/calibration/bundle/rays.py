@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import inner, kernel
+from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel
 from sms_jobs.metrology.geometry.camera import PER_POSE
 from sms_jobs.metrology.geometry.lens import PER_LENS, PIN_HOLE
 from sms_jobs.metrology.geometry.lens_kernels import by_parameters, undistorted
 
 
 @inner
-@kernel
+@uncounted_kernel
 def cross(a: Floats, b: Floats, result: Floats) -> None:
     """Fill result (3,) with the cross product."""
     result[0] = a[1] * b[2] - a[2] * b[1]
@@ -21,14 +21,14 @@ def cross(a: Floats, b: Floats, result: Floats) -> None:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def dot(a: Floats, b: Floats) -> float:
     """Return the scalar product of two vectors of space."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 @inner
-@kernel
+@uncounted_kernel
 def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
     """Fill result (3,) with -R^T T, in mm."""
     for i in range(3):
@@ -36,7 +36,7 @@ def pin_hole(rotation: Floats, translation: Floats, result: Floats) -> None:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floats, v: Floats) -> bool:
     """Follow a pixel's ray: its direction and how it changes with the lens; say whether the lens has one.
 
@@ -62,7 +62,7 @@ def ray(rotation: Floats, lens: Floats, pixel: Floats, inner: Floats, turn: Floa
 
 
 @inner
-@kernel
+@uncounted_kernel
 def to_sensor(
     rotation: Floats, translation: Floats, inner: Floats, turn: Floats, by: Floats, row: Floats
 ) -> None:

@@ -35,7 +35,7 @@ BOARD_SIZE = PER_SENSOR + PER_POSE + PER_BOARD
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _add(row: Floats, size: int, weight: float, white: float, normal: Floats, gradient: Floats) -> None:
     """Add one whitened residual to the lower triangle of `normal` (size, size) and to `gradient` (size,)."""
     for i in range(size):
@@ -46,7 +46,7 @@ def _add(row: Floats, size: int, weight: float, white: float, normal: Floats, gr
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _robust(first: float, second: float, scale: Floats, huber: float) -> tuple[float, float]:
     """Return the cost and the weight of a pair of whitened residuals: half the square up to `huber`."""
     distance = np.sqrt((first / scale[0]) ** 2 + (second / scale[1]) ** 2)

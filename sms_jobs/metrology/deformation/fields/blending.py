@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import inner, kernel, summing_kernel
+from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel, uncounted_summing_kernel
 
 _LANES = 8  # matches that one instruction may take
 _ROOM = 264  # matches: of a power of 2, all rows would want the same lines of a core's cache
@@ -14,7 +14,7 @@ _BEYOND = 1.0 + 1e-9
 
 
 @inner
-@summing_kernel
+@uncounted_summing_kernel
 def _weighted_sums(
     near: Floats, count: int, pixel: tuple[int, int, int], place: tuple[float, float, float],
     scale: tuple[float, float], sums: Floats,
@@ -60,7 +60,7 @@ def _weighted_sums(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _box_of_cell(
     xyz: Floats, labels: Labels, rows: tuple[int, int], columns: tuple[int, int], box: Floats
 ) -> None:
@@ -80,7 +80,7 @@ def _box_of_cell(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _gather(
     matches: Floats, first: Ints, row: int, column: int, cells: int, box: Floats, scale: tuple[float, float],
     chosen: Ints, near: Floats,

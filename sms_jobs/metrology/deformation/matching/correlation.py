@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 from sms_jobs.metrology.deformation.matching.normal_matrix import invert
 from sms_jobs.metrology.deformation.matching.shape_functions import (
     PARAMETERS,
@@ -205,7 +205,7 @@ def _prepared(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _eliminate_light(
     count: int, f_mean: float, ff: float, terms: int, hessian: Floats, j1: Floats, jf: Floats
 ) -> None:
@@ -236,7 +236,7 @@ def _invert_for(order: int, hessian: Floats, inverse: Floats) -> bool:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _movement(step: Floats, n: int, box: Ints, levels: Floats) -> float:
     """Return the rms movement of a subset's pixels by a step, in px; at most, where it is quadratic."""
     xx, yy = levels[2] / n, levels[3] / n

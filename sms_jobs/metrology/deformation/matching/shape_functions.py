@@ -15,7 +15,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints
-from sms_jobs.metrology.compilation import inner, kernel, uncounted_summing_kernel
+from sms_jobs.metrology.compilation import inner, kernel, uncounted_kernel, uncounted_summing_kernel
 from sms_jobs.metrology.images.spline import PADDING
 
 ShapeOrder: TypeAlias = Literal[0, 1, 2]
@@ -28,7 +28,7 @@ WARP: Final = 12
 
 
 @inner
-@kernel
+@uncounted_kernel
 def warped(warp: Floats, x: float, y: float) -> tuple[float, float]:
     """Return the displacement of a subset's pixel at (x, y) from its centre, in px."""
     xx, xy, yy = 0.5 * x * x, x * y, 0.5 * y * y
@@ -38,7 +38,7 @@ def warped(warp: Floats, x: float, y: float) -> tuple[float, float]:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def inside(
     warp: Floats, cx: int, cy: int, left: int, right: int, top: int, bottom: int, rows: int, columns: int,
     reach: float,
@@ -98,7 +98,7 @@ def places(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _bend(warp: Floats, ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
     """Return the second derivative of a warp along (ax, ay) and (bx, by)."""
     mixed = ax * by + ay * bx

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.compilation import kernel
+from sms_jobs.metrology.compilation import uncounted_kernel
 from sms_jobs.metrology.deformation.matching.window_maps import means
 
 _LEFT_BY_FIT = 0.6
@@ -24,7 +24,7 @@ _LEAST_SHARE = 1e-3  # of a mean's pixels: less than one of any
 _DEPENDENT = 0.7  # of a mean's pixels: neighbours that count as one, as in windows; by trial
 
 
-@kernel
+@uncounted_kernel
 def _relative_squares(
     total: Floats, share: Floats, noise: Floats, known: Mask, left: float, squares: Floats
 ) -> None:
@@ -37,7 +37,7 @@ def _relative_squares(
             squares[r, c] = square / (left * noise[r, c]) if usable else 0.0
 
 
-@kernel
+@uncounted_kernel
 def _as_variance(
     times: Floats, part: Floats, noise: Floats, own: Floats, slow: Floats, known: Mask, least: float,
     found: Floats,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Ints, Labels
-from sms_jobs.metrology.compilation import inlined, inner, kernel, uncounted_summing_kernel
+from sms_jobs.metrology.compilation import inlined, inner, kernel, uncounted_kernel, uncounted_summing_kernel
 from sms_jobs.metrology.deformation.matching.shape_functions import inside
 
 _FLAT = 0.01  # determinant below which a subset is seen edge-on: nothing is known of its blur
@@ -47,7 +47,7 @@ def blurred_more(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def collect(
     reference: Floats, gradient_x: Floats, gradient_y: Floats, labels: Labels, cx: int, cy: int, radius: int,
     warp: Floats, spots: tuple[float, float],
@@ -205,7 +205,7 @@ _PLACE_V = np.array([3, 4, 5, 9, 10, 11])
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _unpack(h: Floats, rows: Ints, columns: Ints, terms: int, hessian: Floats) -> None:
     """Spread sums of x^i y^j, as `_product_sums` has them, over a block of the normal matrix."""
     for m in range(terms):

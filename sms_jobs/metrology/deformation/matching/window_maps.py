@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Mask
-from sms_jobs.metrology.compilation import inlined, kernel
+from sms_jobs.metrology.compilation import inlined, uncounted_kernel
 
 _LEAST_SHARE = 0.1  # of a square's pixels that must be known to tell the mean of all
 
@@ -41,7 +41,7 @@ def means_of(values: Floats, known: Mask, radius: int) -> Floats:
     return np.where(enough, total / np.where(enough, share, 1.0), np.nan)
 
 
-@kernel
+@uncounted_kernel
 def trusted_products(
     f: Floats, g: Floats, trusted: Mask, f_only: Floats, g_only: Floats, gg: Floats, fg: Floats
 ) -> None:
@@ -57,7 +57,7 @@ def trusted_products(
             fg[r, c] = a * b
 
 
-@kernel
+@uncounted_kernel
 def without_light(
     f: Floats, g: Floats, known: Mask, weight: Floats, means: tuple[Floats, Floats, Floats, Floats],
     residual: Floats, gain: Floats, texture: Floats,
@@ -81,7 +81,7 @@ def without_light(
             residual[r, c] = own - b * (g[r, c] - g_mean) if known[r, c] else 0.0
 
 
-@kernel
+@uncounted_kernel
 def solved(
     normal: tuple[Floats, Floats, Floats], right: tuple[Floats, Floats], variance: Floats, pixels: int,
     asked: Floats, spread: Floats,
@@ -110,7 +110,7 @@ def solved(
             spread[1, r, c] = variance[r, c] / pixels * xx[r, c] / determinant
 
 
-@kernel
+@uncounted_kernel
 def weighed(
     asked: Floats, noise: Floats, counts: Mask, typical: float,
     weight: Floats, excess: Floats, chance: Floats,
@@ -127,7 +127,7 @@ def weighed(
             chance[r, c] = (w * n) * (w * n)
 
 
-@kernel
+@uncounted_kernel
 def bounded(
     found: Floats, means: tuple[Floats, Floats, Floats], independent: float, least: float, at_most: float,
     bound: Floats,
@@ -148,7 +148,7 @@ def bounded(
             bound[r, c] = _most(room, mean if mean > least * error else 0.0)
 
 
-@kernel
+@uncounted_kernel
 def variances(
     f: Floats, g: Floats, gain: Floats, noise: tuple[float, float, float, float], least: float,
     variance: Floats,
@@ -162,7 +162,7 @@ def variances(
             variance[r, c] = own + gain[r, c] * gain[r, c] * other
 
 
-@kernel
+@uncounted_kernel
 def raise_where_sure(
     asked: Floats, spread: Floats, roughness: Floats, known: Mask, sigmas: float, square: Floats
 ) -> None:
@@ -176,7 +176,7 @@ def raise_where_sure(
                 square[i, r, c] = _most(square[i, r, c], own if sure else 0.0)
 
 
-@kernel
+@uncounted_kernel
 def mended_squares(
     residual: Floats, asked: Floats, slopes: tuple[Floats, Floats], masks: tuple[Mask, Mask], far: float,
     squares: Floats,

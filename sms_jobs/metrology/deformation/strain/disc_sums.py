@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import inner, kernel, summing_kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel, uncounted_summing_kernel
 from sms_jobs.metrology.deformation.fields.cells import Cells
 
 ROWS: Final = 18
@@ -29,7 +29,7 @@ def told_of_cells(cells: Cells) -> Floats:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def gather(told: Floats, top: int, bottom: int, left: int, right: int, near: Floats) -> int:
     """Copy the squares of rows top .. bottom and columns left .. right to the first columns of `near`.
 
@@ -47,7 +47,7 @@ def gather(told: Floats, top: int, bottom: int, left: int, right: int, near: Flo
 
 
 @inner
-@summing_kernel
+@uncounted_summing_kernel
 def disc_sums(
     near: Floats, count: int, label: float, centre: tuple[float, float, float], square: float,
     normal: tuple[float, float, float], least_cosine: float, sums: Floats,
@@ -112,7 +112,7 @@ def disc_sums(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def central_moments(sums: Floats, scatter: Floats, mixed: Floats) -> None:
     """Fill the moments about the means: of position with position, and of position with displacement."""
     total = sums[0]

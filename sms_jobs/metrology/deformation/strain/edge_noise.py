@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, uncounted_kernel
 from sms_jobs.metrology.deformation.fields.cells import Cells
 from sms_jobs.metrology.deformation.matching.subsets import RIM
 from sms_jobs.metrology.deformation.strain.edge_propagation import EdgeFactors, edge_factors
@@ -112,7 +112,7 @@ def _factors(shared: SharedErrors, sort: int, part: float) -> tuple[EdgeFactors 
     )
 
 
-@kernel
+@uncounted_kernel
 def _noise_rows(
     start: int,
     stop: int,

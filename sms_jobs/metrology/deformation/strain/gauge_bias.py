@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats, Labels
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel
 
 SHORTER = (0.5, 0.25)
 """Parts of the gauge length over which strain is taken besides."""
@@ -68,7 +68,7 @@ class Samples:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _in_disc(
     j: int, i: int, r: int, c: int, place: Floats, labels: Labels, square: float, least_cosine: float
 ) -> float:
@@ -95,7 +95,7 @@ def _in_disc(
     return float(distance / square)
 
 
-@kernel
+@uncounted_kernel
 def _seen_again(
     start: int, stop: int, place: Floats, labels: Labels, square: float, least_cosine: float, reach: int,
     strain: Floats, again: Floats, offset: Floats, extent: Floats,
@@ -187,7 +187,7 @@ def _means(
                 rise[r, c, k] = to_x * (along_x[k] - x * e) + to_y * (along_y[k] - y * e)
 
 
-@kernel
+@uncounted_kernel
 def _spread_rows(
     start: int, stop: int, labels: Labels, step: int, first: int, own: Labels, variance: Floats, reach: int,
     spread: Floats,

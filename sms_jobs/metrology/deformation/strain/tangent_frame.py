@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sms_jobs.metrology.arrays import Floats
-from sms_jobs.metrology.compilation import inner, kernel
+from sms_jobs.metrology.compilation import inner, uncounted_kernel
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _principal_axes(
     matrix: Floats,
     vectors: Floats,
@@ -49,7 +49,7 @@ def _principal_axes(
 
 
 @inner
-@kernel
+@uncounted_kernel
 def tangent_frame(
     scatter: Floats,
     towards: tuple[float, float, float],

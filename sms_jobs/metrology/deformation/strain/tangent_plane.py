@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sms_jobs.metrology.arrays import Floats, Labels, Mask
-from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, variable
+from sms_jobs.metrology.compilation import in_row_blocks, inner, kernel, uncounted_kernel, variable
 from sms_jobs.metrology.deformation.fields.cells import Cells, cell_means
 from sms_jobs.metrology.deformation.fields.displacement import pixel_pitch
 from sms_jobs.metrology.deformation.strain.disc_sums import (
@@ -63,7 +63,7 @@ class SurfaceStrain:
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _slopes(frame: Floats, scatter: Floats, mixed: Floats, gradient: Floats) -> tuple[float, float, float]:
     """Fill the slopes (2, 3) of the displacement along e_x and e_y: d,a = A^-1 T^T (mixed).
 
@@ -86,7 +86,7 @@ def _slopes(frame: Floats, scatter: Floats, mixed: Floats, gradient: Floats) -> 
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _strain_of(frame: Floats, gradient: Floats, green: bool, f: Floats) -> tuple[float, float, float]:
     """Return xx, yy and xy, and fill what e_x and e_y become, (2, 3): themselves for small strain."""
     xx = yy = xy = 0.0
@@ -104,7 +104,7 @@ def _strain_of(frame: Floats, gradient: Floats, green: bool, f: Floats) -> tuple
 
 
 @inner
-@kernel
+@uncounted_kernel
 def _variance_of(
     f: Floats, noise: Floats, first: int, inverse: tuple[float, float, float]
 ) -> tuple[float, float, float]:
