@@ -106,8 +106,11 @@ def test_one_job_is_told_as_one(services: Services, tmp_path: Path) -> None:
         page.screen(1280, 900)
         page.visit(f"{site}/campaigns/plate?kind=simulate")
         page.run("document.querySelector('#which').open = true")
-        for one in ("states][value=S00", "views][value=C1P1"):
-            page.click(f"#submit input[name={one}]")
+        page.click("#submit input[name=states][value=S00]")
         page.click("#estimate")
         told = "document.querySelector('#submit .outcome').textContent"
         page.wait_for(f"{told}.includes('Would submit 1 job: 1 simulate')")
+        page.click("#submit input[name=views][value=C1P1]")
+        page.click("#estimate")
+        refused = "has no effect on it: submit simulate without it"
+        page.wait_for(f"document.querySelector('#submit').textContent.includes('{refused}')")
