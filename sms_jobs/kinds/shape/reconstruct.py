@@ -63,7 +63,7 @@ from sms_jobs.kinds.shape.trusted_points import (
     paired_sensors,
 )
 from sms_jobs.kinds.valid_parts import fractions, losses
-from sms_jobs.metrology.arrays import Reasons, Singles
+from sms_jobs.metrology.arrays import Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import pixel_size
 from sms_jobs.metrology.calibration.missed_rays import MissedRays
 from sms_jobs.metrology.geometry.planes import trace
@@ -129,8 +129,8 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     )
     progress(0.9, "corrected for the texture")
     points = pair.meet(phase.omega, phase.omega_sigma, part=corrected.part)
+    gap_px, missed = _missed(points, geometry, reason == Reason.VALID)
     mark_points(points, geometry, parameters, reason, corrected)
-    gap_px, missed = _missed(points, geometry, reason)
     surface = as_surface(str(inputs.view), points, reason)
     statistics = _statistics(points, phase, reason, corrected.blur)
     factor = calibration_factor(inputs, _CALIBRATION, calibration, measurement.sequence.orientations_rad)
@@ -146,8 +146,8 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         PHASE: phase,
         CALIBRATION_FACTOR: factor,
     }
-    told = contradiction(factor, "the rays miss each other", "sensors", off_px) or _told_of_gaps(reason)
-    progress(1.0, remarked(told, beside="triangulated"))
+    told = _told_of_gaps(reason), contradiction(factor, "the rays miss each other", "sensors", off_px)
+    progress(1.0, remarked("; ".join(filter(None, told)), beside="triangulated"))
     if found.returns is not None:
         records[RETURNS] = found.returns
         statistics |= _pair_statistics(reason, found.returns)
@@ -158,14 +158,15 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
     yield DatasetOutput(inputs.subject, records, statistics)
 
 
-def _missed(points: Triangulation, geometry: Geometry, reason: Reasons) -> tuple[float, MissedRays | None]:
-    """Return by how much the rays of what is otherwise valid miss each other, in px of the projector.
+def _missed(points: Triangulation, geometry: Geometry, known: Mask) -> tuple[float, MissedRays | None]:
+    """Return by how much the rays of pixels whose phases are `known` miss each other, in px of the projector.
 
     Robustly, and as a plane over the image; none where they cannot miss each other, or hardly any is known.
+    Those that miss by too much are not to be left out before.
     """
     if len(geometry.pair.orientations) < 2:
         return 0.0, None
-    pixels, _ = some_pixels(reason & ~np.uint32(Reason.LARGE_RAY_GAP) == Reason.VALID)
+    pixels, _ = some_pixels(known)
     columns, rows = pixels
     projector = geometry.pair.projector
     size = pixel_size((projector.intrinsics, projector.pose), points.xyz[:, rows, columns].T)

@@ -23,6 +23,7 @@ from support.two_cameras import Floats, Motion, at_rest, cameras, curved, seen_b
 from sms_jobs.kinds.calibration_factors import OF_BOTH, moved_since
 from sms_jobs.kinds.kind import DatasetOutput, Progress
 from sms_jobs.kinds.shape.partner_places import PartnerPlaces, with_shaken_rays
+from sms_jobs.kinds.shape.ray_images import told_by_rays
 from sms_jobs.kinds.surface_ports import noise_covariance, position_covariance
 from sms_jobs.metrology.calibration.missed_rays import MissedRays
 from sms_jobs.metrology.geometry.camera import PER_SENSOR, SENSOR_PARAMETERS
@@ -235,3 +236,17 @@ def test_what_has_changed_since_the_reference_counts(
     assert moved_since(replace(before, calibration="another"), now) is now
     silent = moved_since(*(replace(one, root=one.root[:, :0], times=1.0) for one in (before, now)))
     assert silent.turned_px == pytest.approx(before.missed[0].change_px(now.missed[0]), abs=1e-12)
+
+
+def test_a_partner_of_which_nothing_is_known_leaves_the_change_of_all_unknown() -> None:
+    """Planes are told apart by their places alone."""
+    two = factor(1.0, 0.0)
+    root = 1e-6 * np.eye(3 * PER_SENSOR)
+    three = replace(two, sensors=(*two.sensors, two.sensors[1]), root=root)
+    surface = Surface("C1C2C2", "mm", np.zeros((3, 4, 5)), np.zeros((4, 5), np.uint32))
+    (own,) = two.missed
+    assert told_by_rays(three, surface, 0.0, 0.01, [own, own]).missed == (own, own)
+    for missed in ([own, None], [None, own]):
+        found = told_by_rays(three, surface, 0.0, 0.01, missed)
+        assert found.missed == ()
+        assert len(found.stated_px) == 2
