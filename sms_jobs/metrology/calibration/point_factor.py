@@ -86,13 +86,15 @@ def economical(view: KnownView) -> KnownView:
 def turns(sensors: tuple[Camera, ...]) -> Floats:
     """Return what sensors are uncertain by that have turned, (parameters, 2 per sensor).
 
-    About both axes of the image of each, by as much as moves it by 1 px / sqrt(2): so that what two sensors
-    see of each other's rays is uncertain by 1 px.
+    Each about both axes of its image, by the angle that moves the image of the first partner by
+    1 px / sqrt(2): what that sees of the reference camera's rays is then uncertain by a pixel of its own,
+    however fine those of the camera are.
     """
     columns = np.zeros((PER_SENSOR * len(sensors), 2 * len(sensors)))
+    partner = sensors[1].intrinsics
+    angle = 1.0 / np.sqrt(2.0 * partner.fx * partner.fy)
     for number, sensor in enumerate(sensors):
-        for axis, focal in enumerate((sensor.intrinsics.fy, sensor.intrinsics.fx)):
-            turn = np.eye(3)[axis] / (np.sqrt(2.0) * focal)
+        for axis, turn in enumerate(angle * np.eye(3)[:2]):
             # About its own centre, while R <- exp([r]x) R turns it about the world's origin.
             shift = np.cross(turn, sensor.pose.translation)
             at = PER_SENSOR * number
