@@ -116,7 +116,7 @@ class CalibrationFactor:
         How many times as large as the calibration states the root is, since rays contradict it.
     turned_px
         By how much sensors have turned since the reference state, beyond what the root says, as far as rays
-        tell.
+        tell: in px of the first partner.
     """
 
     view: str

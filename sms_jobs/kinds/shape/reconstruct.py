@@ -162,7 +162,7 @@ def _missed(points: Triangulation, geometry: Geometry, known: Mask) -> tuple[flo
     """Return by how much the rays of pixels whose phases are `known` miss each other, in px of the projector.
 
     Robustly, and as a plane over the image; none where they cannot miss each other, or hardly any is known.
-    Those that miss by too much are not to be left out before.
+    Those that miss by too much must be among them: without these a plane is too flat.
     """
     if len(geometry.pair.orientations) < 2:
         return 0.0, None
