@@ -23,6 +23,7 @@ _FILLED_FROM = (5, 5)  # px about a pixel that is not lit
 _RINGING_PX = (9, 9)  # about one: what a cubic spline makes of a bend falls to 0.27 a pixel, 0.005 in four
 _OUTERMOST = 5.0  # in focus s^2 is some five times rough_px, and across the border nothing is corrected
 _SMALLEST_GAP = 4  # px; fewer that fail are no edge but noise
+_REACH_PX = 2  # how far off the neighbours are that tell how phases change
 
 Shift: TypeAlias = tuple[Floats, Singles]
 """What texture does to phases: see `texture_shift`."""
@@ -126,6 +127,14 @@ def _difference(before: float, here: float, after: float) -> float:
     return forth if abs(forth) < abs(back) else back
 
 
+@inner
+@uncounted_kernel
+def _is_usable(valid: Mask, row: int, column: int) -> bool:
+    """Say whether a pixel is in the image and valid."""
+    inside = row >= 0 and column >= 0 and row < valid.shape[0] and column < valid.shape[1]
+    return inside and valid[row, column]
+
+
 @uncounted_kernel
 def _shift_rows(
     omega: Floats,
@@ -137,20 +146,21 @@ def _shift_rows(
     shift: Floats,
     spread: Singles,
 ) -> None:
-    rows, columns = valid.shape
     for row in range(start, stop):
-        for column in range(columns):
+        for column in range(valid.shape[1]):
             if not valid[row, column]:
                 continue
             for axis in range(2):
-                down, right = axis, 1 - axis
-                r0, c0, r1, c1 = row - down, column - right, row + down, column + right
-                has_before = r0 >= 0 and c0 >= 0 and valid[r0, c0]
-                has_after = r1 < rows and c1 < columns and valid[r1, c1]
+                has_before, has_after, reach = False, False, 0
+                while reach < _REACH_PX and not (has_before or has_after):
+                    reach += 1
+                    down, right = reach * axis, reach * (1 - axis)
+                    r0, c0, r1, c1 = row - down, column - right, row + down, column + right
+                    has_before, has_after = _is_usable(valid, r0, c0), _is_usable(valid, r1, c1)
                 for k in range(omega.shape[0]):
                     before = omega[k, r0, c0] if has_before else np.nan
                     after = omega[k, r1, c1] if has_after else np.nan
-                    slope = _difference(before, omega[k, row, column], after)
+                    slope = _difference(before, omega[k, row, column], after) / reach
                     shift[k, row, column] += slope * gradient[axis, row, column]
                     unseen = slope * rough[axis, row, column]
                     spread[k, row, column] += unseen * unseen
@@ -221,9 +231,24 @@ class SeenTexture:
         return texture_shift(omega, self.usable, self.gradient, self.rough, self.threads)
 
     def beside(self, variance: float, most_px: float) -> tuple[Mask, Mask]:
-        """Return whose light comes from farther off than it may, and of which `relative` alone says so."""
+        """Return whose light comes from farther off than it may, and of which `relative` alone says so.
+
+        Of pixels so far from all others that nothing tells how phases change there, that is not known.
+        """
         far, doubtful = (
             self.usable & (variance * np.hypot(slope[0], slope[1]) > most_px)
             for slope in (self.gradient, self.relative)
         )
-        return far, doubtful
+        return far | (self.usable & ~_has_neighbours(self.usable)), doubtful
+
+
+def _has_neighbours(usable: Mask) -> Mask:
+    """Return which pixels have a usable one within reach along columns, and one along rows."""
+    has = np.ones_like(usable)
+    for axis in range(2):
+        own, seen = np.moveaxis(usable, axis, 0), np.zeros_like(np.moveaxis(usable, axis, 0))
+        for reach in range(1, _REACH_PX + 1):
+            seen[reach:] |= own[:-reach]
+            seen[:-reach] |= own[reach:]
+        has &= np.moveaxis(seen, 0, axis)
+    return has

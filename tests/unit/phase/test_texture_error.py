@@ -14,7 +14,13 @@ from sms_jobs.bench.fringes.fringe_textures import TexturedPlate, record
 from sms_jobs.kinds.kind import CALIBRATION
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.kinds.surface_ports import independent_covariance
-from sms_jobs.metrology.phase.seen_texture import log_gradient, relative_gradient, roughness, texture_shift
+from sms_jobs.metrology.phase.seen_texture import (
+    SeenTexture,
+    log_gradient,
+    relative_gradient,
+    roughness,
+    texture_shift,
+)
 from sms_jobs.metrology.phase.texture_error import UNKNOWN, estimate_blur, textured_interior
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import FringeSequence
@@ -90,6 +96,24 @@ def test_slopes_do_not_reach_across_edges_or_gaps() -> None:
     assert (shift[:, ~valid] == 0.0).all()
     np.testing.assert_allclose(shift[:, valid], 0.01, atol=1e-12)  # rounding
     np.testing.assert_allclose(spread[:, valid], 0.03, rtol=1e-6)  # single precision
+
+
+def test_a_pixel_between_two_that_fail_takes_the_slope_from_the_next() -> None:
+    x = np.arange(40.0)
+    omega = 0.01 * x * np.ones((2, 12, 1))
+    valid = np.ones((12, 40), dtype=bool)
+    valid[:, [10, 12]] = False  # on both sides of column 11
+    valid[:, [29, 28, 31, 32]] = False  # two on both sides of column 30
+    gradient = np.zeros((2, 12, 40))
+    gradient[0] = 1.0
+    shift, spread = texture_shift(omega, valid, gradient, 3.0 * gradient)
+    np.testing.assert_allclose(shift[:, :, 11], 0.01, atol=1e-12)  # rounding
+    np.testing.assert_allclose(spread[:, :, 11], 0.03, rtol=1e-6)  # single precision
+    texture = SeenTexture(gradient, gradient, 3.0 * gradient, valid, 1)
+    far, doubtful = texture.beside(0.1, 1.0)
+    # Of column 30 nothing tells how phases change along rows: where its light comes from is not known.
+    np.testing.assert_array_equal(far, valid & (x == 30.0))
+    assert not doubtful.any()
 
 
 def test_roughness_is_how_much_the_brightness_changes() -> None:
