@@ -17,11 +17,19 @@ from scipy import ndimage
 from sms_jobs.bench.fringes import bent_waveforms, plate_before_wall
 from sms_jobs.bench.fringes.bent_waveforms import scores
 from sms_jobs.bench.fringes.code_mishaps import CODED, code_mishaps, coded_session
-from sms_jobs.bench.fringes.fringe_mishaps import Session, mishaps, perfect_session, reconstructed
+from sms_jobs.bench.fringes.fringe_mishaps import (
+    Session,
+    mishaps,
+    perfect_session,
+    reconstructed,
+    under_a_lamp,
+    with_light_of,
+)
 from sms_jobs.kinds.shape.reconstruct import ReconstructParameters
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.arrays import Floats
 from sms_jobs.metrology.geometry.planes import trace
+from sms_jobs.metrology.phase.frame_lag import NEIGHBOURS
 from sms_jobs.metrology.phase.frame_noise import noise_of_steps
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
@@ -29,6 +37,7 @@ from sms_jobs.records.reasons import Reason
 
 _FULL_SCALE = 255
 _NOISE = (0.5, 3.0)  # grey levels of 255
+_MOST_LAG, _MOST_FLICKER = 0.03, 0.02
 _SLIGHT_GAIN, _SLIGHT_SHIFT_PX, _SLIGHT_DRIFT = 0.03, 0.04, 0.02
 
 Judged: TypeAlias = Callable[[np.random.Generator], tuple[Floats, float]]
@@ -114,6 +123,25 @@ def _slight(random: np.random.Generator) -> tuple[Floats, float]:
     return _of_session(session, [replace(right, frames=ArrayStack(one)) for one in each])
 
 
+def _lagging(random: np.random.Generator) -> tuple[Floats, float]:
+    """Judge recordings whose frames hold up to 3 % of the light of the frame before, or after, them."""
+    found, parts = [np.zeros(0)], []
+    for sequence in (None, _LINEAR):
+        session = perfect_session(random, sequence)
+        each = [with_light_of(session, one, random.uniform(0.0, _MOST_LAG)) for one in NEIGHBOURS]
+        errors, part = _of_session(session, each)
+        found.append(errors)
+        parts.append(part)
+    return np.concatenate(found), float(np.mean(parts))
+
+
+def _flickering(random: np.random.Generator) -> tuple[Floats, float]:
+    """Judge recordings beside a lamp that flickers by up to 2 % of the light."""
+    session = perfect_session(random)
+    each = [under_a_lamp(session, part, random) for part in random.uniform(0.0, _MOST_FLICKER, 2)]
+    return _of_session(session, each)
+
+
 def _harmless(random: np.random.Generator) -> tuple[Floats, float]:
     """Judge what is accepted of all mishaps: as a rule nothing."""
     session = perfect_session(random)
@@ -149,6 +177,8 @@ ACCEPTED = (
     AcceptedCase("8 bits, three steps", _eight_bits(FringeSequence((32, 31, 30, 28, 24, 16), 3))),
     AcceptedCase("8 bits, four steps", _eight_bits(FringeSequence((32, 31, 30, 28, 24, 16), 4))),
     AcceptedCase("slight mishaps", _slight),
+    AcceptedCase("light of the frame before or after", _lagging),
+    AcceptedCase("a lamp that flickers", _flickering),
     AcceptedCase("harmless mishaps", _harmless),
     AcceptedCase("harmless mishaps beside a code", _harmless_codes),
 )

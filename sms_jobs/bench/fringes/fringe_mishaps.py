@@ -14,6 +14,7 @@ from scipy import ndimage
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
 from sms_jobs.metrology.geometry.planes import trace
+from sms_jobs.metrology.phase.frame_lag import Neighbour
 from sms_jobs.records.fields import Surface
 from sms_jobs.records.measurement import ArrayStack, FringeSequence, Measurement
 from sms_jobs.records.reasons import Reason
@@ -161,6 +162,33 @@ def mishaps(session: Session, random: np.random.Generator) -> Iterator[Mishap]:
     after = recorded(session.calibration, session.scene, sequence, (Rigid((0.0, 0.0, 0.0), (x, y, z)),))
     stack = np.concatenate([frames[:at], after.frames.rows(0, frames.shape[1])[at:]])
     yield Mishap("specimen moved", changed(stack), (("camera and specimen still",),))
+
+
+def with_light_of(session: Session, neighbour: Neighbour, part: float) -> Measurement:
+    """Return a recording each of whose frames holds a part of the light of the frame before or after it.
+
+    Nothing was shown before the first, nor after the last.
+    """
+    right = session.measurement
+    frames = right.frames.rows(0, right.frames.shape[1]).astype(np.float64)
+    first, last = frames[:1], frames[-1:]
+    before, after = np.concatenate([first, frames[:-1]]), np.concatenate([frames[1:], last])
+    return _shown(right, frames + part * ((before if neighbour == "before" else after) - frames))
+
+
+def under_a_lamp(session: Session, part: float, random: np.random.Generator) -> Measurement:
+    """Return a recording under a lamp that flickers by a part of the mean light, at a rate that is drawn."""
+    right = session.measurement
+    frames = right.frames.rows(0, right.frames.shape[1]).astype(np.float64)
+    rate, start = random.uniform(0.02, 0.5), random.uniform(0.0, 2.0 * pi)
+    light = part * np.cos(2.0 * pi * rate * np.arange(len(frames)) + start)
+    return _shown(right, frames + light[:, None, None] * frames.mean(axis=0))
+
+
+def _shown(right: Measurement, frames: NDArray[np.float64]) -> Measurement:
+    """Return a recording with other grey levels."""
+    levels = np.clip(np.rint(frames), 0, right.full_scale).astype(np.uint16)
+    return replace(right, frames=ArrayStack(levels))
 
 
 def _other_steps(right: Measurement) -> Measurement:

@@ -281,7 +281,8 @@ def judged_cases(
         "plate lit once or, on two thirds of it, twice by a projector of an exponent of 1.2 to 2.2, noise of "
         "0.1 to 0.5 % of full scale, or with a texture seen through pixels with and without a lens's spot; "
         "plates before a wall, all points and those of pixels that see both; 8 bits, the noise as their "
-        "frames show it; a gain of 3 %, a shift of 0.04 px and a lamp that drifts by 2 % at most, and what "
+        "frames show it; a gain of 3 %, a shift of 0.04 px and a lamp that drifts by 2 % at most, up to 3 % "
+        "of the light of the frame before or after, a lamp that flickers by up to 2 % of the light, and what "
         f"is accepted of the mishaps; seeds from {seed}; rms of error over stated deviation of all points of "
         f"a case: {'; '.join(told)}; the worst is {worst[0]}",
     )

@@ -279,7 +279,7 @@ def _statistics(observation: BarObservation, search: SphereSearch) -> dict[str, 
 KIND = Kind(
     name=OBSERVE_BAR,
     summary="find the spheres of a ball bar and points on them",
-    version=5,
+    version=6,
     scope=Scope.TUPLE,
     parameters=ObserveBarParameters,
     inputs=(_FRAMES, START, START_OF_BOARDS, *_SPECIAL),

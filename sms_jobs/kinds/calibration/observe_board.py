@@ -147,7 +147,7 @@ def _statistics(observation: BoardObservation) -> dict[str, float]:
 KIND = Kind(
     name=OBSERVE_BOARD,
     summary="find the points of a calibration board in camera and projector",
-    version=8,
+    version=9,
     scope=Scope.TUPLE,
     parameters=ObserveBoardParameters,
     inputs=(_FRAMES,),

@@ -418,7 +418,7 @@ def _of_gauges(look: QuickLook) -> dict[str, float]:
 KIND = Kind(
     name="quick-look",
     summary="seconds after a recording: shape at some pixels, displacement at the gauges, what is wrong",
-    version=29,
+    version=30,
     scope=Scope.TUPLE,
     parameters=QuickLookParameters,
     inputs=(_FRAMES, _CALIBRATION, _REFERENCE, _REFERENCE_FRAMES),

@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.code_watch import CodeFinding
-from sms_jobs.kinds.shape.foreign_patterns import coarse_gradient, offsets_of
+from sms_jobs.kinds.shape.watched_frames import OtherLight, WatchedFrames, frame_places
 from sms_jobs.metrology.arrays import Singles
 from sms_jobs.metrology.images.frame_motion import image_shifts
 from sms_jobs.metrology.phase.frame_fit import (
-    FrameFit,
-    SampledFrames,
-    fit_frames,
     lit_pixels,
     share_by_chance,
 )
+from sms_jobs.metrology.phase.frame_lag import Neighbour
 from sms_jobs.metrology.phase.frame_mishaps import Mishap, find_mishap
 from sms_jobs.metrology.phase.joint_check import JointFrames, agrees, find_joint_mishap
 from sms_jobs.metrology.phase.joint_fit import JointCode
@@ -36,6 +34,7 @@ _SURE = 6.0  # standard deviations
 _OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
 _UNIFORM = 0.5  # of the modulation, by which a uniform field differs from the mean at least
 _DISTURBING = 3.0  # times the accepted phase error
+_MOST_LAG = 0.05  # of a neighbour's light: what a few hundredths move phases by is known to first order
 _BY_CHANCE, _MORE = 2.0, 0.1
 """Of phases that do not belong together some agree by chance: as many again, or a tenth of the others, are
 to agree before any is believed."""
@@ -75,7 +74,7 @@ def check_frames(
     ranged: bool,
     codes: tuple[JointCode, ...] = (),
     doubt: CodeFinding | None = None,
-) -> None:
+) -> OtherLight:
     """Check that the frames agree with the fringe sequence and with each other.
 
     Parameters
@@ -93,6 +92,10 @@ def check_frames(
     doubt
         What is wrong with fringes and the Gray code beside them.
 
+    Returns
+    -------
+    What they hold besides, as far as it is accepted.
+
     Raises
     ------
     MeasurementFailed
@@ -108,41 +111,57 @@ def check_frames(
         moved = "" if doubt.explained or not patches.size else _motion(measurement, patches, (), motion_px)
         raise MeasurementFailed(contradiction.format(moved or doubt.text))
     if not patches.size:
-        return
-    sequence, grey = measurement.sequence, measurement.grey_levels
-    densities = tuple(t for t in sequence.densities if t)
-    every = np.arange(len(patches))
-    places = [every[sequence.frames_of(k, uniform=False)] for k in range(len(sequence.orientations_rad))]
+        return OtherLight()
+    grey, places = measurement.grey_levels, frame_places(measurement, len(patches))
     flat = patches.reshape(len(patches), -1)
     lit = np.logical_and.reduce([lit_pixels(flat[own], grey) for own in places])
     if np.count_nonzero(lit) < _LEAST_PIXELS:
-        return
+        return OtherLight()
     if codes:
         if finding := _jointly(measurement, codes, [flat[own][:, lit] for own in places], accepted_rad):
             raise MeasurementFailed(contradiction.format(finding))
-        return
-    told: tuple[SampledFrames, ...] = ()
-    if sequence.gray is None or len(densities) > 1:
-        coarse = [coarse_gradient(measurement, k, flat[:, None, lit]) for k in range(len(places))]
-        offsets = offsets_of(measurement)
-        told = tuple(
-            SampledFrames(
-                flat[own][:, lit], densities, sequence.steps, grey, accepted_rad, offsets, ranged, known
-            )
-            for own, known in zip(places, coarse, strict=True)
-        )
-    fits = tuple(fit_frames(one) for one in told)
-    mishap = None if all(fit.agrees for fit in fits) else find_mishap(told, fits)
-    numbers = np.concatenate(places)
+        return OtherLight()
+    seen = WatchedFrames(measurement, flat[:, lit], accepted_rad, ranged)
+    finding, light = _finding(seen, patches, motion_px), seen.other_light()
+    lag = light.lag
+    if finding or any(fit.few_agree for fit in seen.fits):
+        finding = _lagging(seen) or finding
+    elif lag is not None and lag.part > _MOST_LAG:
+        finding = _of_neighbours(lag.part, lag.neighbour)
+    if finding:
+        raise MeasurementFailed(contradiction.format(finding))
+    return light
+
+
+def _finding(seen: WatchedFrames, patches: NDArray[Any], motion_px: float) -> str:
+    """Say what is wrong with frames that are fitted density by density; nothing where nothing is."""
+    measurement, sequence, fits = seen.measurement, seen.measurement.sequence, seen.fits
+    if sequence.gray is not None and len(seen.densities) == 1:
+        return _motion(measurement, patches, (), motion_px) or _uniform(seen)
+    mishap = None if all(fit.agrees for fit in fits) else find_mishap(seen.told, fits)
     finding = ""
     if mishap is None or mishap.what in _OF_ONE_FRAME:
         touched = () if mishap is None else tuple(f // sequence.steps for f in mishap.frames)
         finding = _motion(measurement, patches, touched, motion_px)
     if not finding and mishap is not None:
-        finding = _in_words(mishap, _namer(measurement, numbers), densities)
-    finding = finding or _phases(measurement, told, fits) or _uniform(measurement, flat[:, lit], places)
-    if finding:
-        raise MeasurementFailed(contradiction.format(finding))
+        finding = _in_words(mishap, _namer(measurement, np.concatenate(seen.places)), seen.densities)
+    return finding or _phases(seen) or _uniform(seen)
+
+
+def _lagging(seen: WatchedFrames) -> str:
+    """Say that frames hold light of a neighbour; nothing where that does not explain what is wrong."""
+    found = seen.explaining_lag()
+    if found is None or _phases(found[2]):
+        return ""
+    return _of_neighbours(found[0], found[1])
+
+
+def _of_neighbours(part: float, neighbour: Neighbour) -> str:
+    return (
+        f"they hold {part:.0%} of the light of the frame {neighbour} each: the projector changes slowly, or "
+        "the camera exposes while it changes; let it settle, see that exposures begin and end while one "
+        "pattern is shown, and record again"
+    )
 
 
 def _jointly(
@@ -171,20 +190,21 @@ def _jointly(
     return ""
 
 
-def _uniform(measurement: Measurement, levels: NDArray[Any], places: list[NDArray[np.intp]]) -> str:
+def _uniform(seen: WatchedFrames) -> str:
     """Say which frame of the density 0 is not the uniform field that is told; nothing where all are.
 
-    `levels` are (patterns, pixels), `places` the other frames of each orientation. The bright and the dark
-    field are as far from the mean of the fringes as these are, or farther: nothing blurs them.
+    The bright and the dark field are as far from the mean of the fringes as these are, or farther: nothing
+    blurs them.
     """
-    shown = list(measurement.sequence.patterns())
-    for own in places:
+    levels, sequence = seen.levels, seen.measurement.sequence
+    shown = list(sequence.patterns())
+    for own in seen.places:
         fringes = levels[own].astype(np.float32)
         mean, modulation = fringes.mean(axis=0), np.sqrt(2.0) * fringes.std(axis=0)
         away = {}
         for number, (orientation, density, step) in enumerate(shown):
             if density == 0 and orientation == shown[own[0]][0]:
-                told = cos(2.0 * pi * step / measurement.sequence.steps)
+                told = cos(2.0 * pi * step / sequence.steps)
                 away[number] = float(np.median((levels[number] - mean) / modulation)) / told
         if min(away.values(), default=1.0) > _UNIFORM:
             continue
@@ -310,9 +330,10 @@ def _fringes(measurement: Measurement, place: int) -> str:
     return f"{densities[place % len(densities)]} fringes along {degrees(orientation):g} deg"
 
 
-def _phases(measurement: Measurement, told: tuple[SampledFrames, ...], fits: tuple[FrameFit, ...]) -> str:
+def _phases(seen: WatchedFrames) -> str:
     """Say where the phases of the densities do not belong to one still surface; nothing where they do."""
-    for k, (one, fit) in enumerate(zip(told, fits, strict=True)):
+    measurement = seen.measurement
+    for k, (one, fit) in enumerate(zip(seen.told, seen.fits, strict=True)):
         first, accepted = k * len(one.densities), one.accepted_rad
         off = (np.abs(fit.shift) > accepted) & (np.abs(fit.shift) > _SURE * fit.shift_sigma)
         if not (fit.few_agree or off.any()):

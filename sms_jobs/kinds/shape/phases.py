@@ -42,6 +42,7 @@ from sms_jobs.kinds.shape.ranged_phases import (
     transfers,
 )
 from sms_jobs.kinds.shape.streaming import exposed_slabs
+from sms_jobs.kinds.shape.watched_frames import OtherLight
 from sms_jobs.metrology.arrays import Floats, Mask, Reasons, Singles
 from sms_jobs.metrology.geometry.sensor_pair import SensorPair
 from sms_jobs.metrology.geometry.triangulation import Projector
@@ -73,12 +74,16 @@ class Phases:
         (rows, columns): why a pixel is not to be trusted.
     response
         Of the projector, if it was corrected.
+    light
+        What frames hold besides their patterns and noise: that of neighbours is taken out of the phase
+        gradients, the rest is in their deviations.
     """
 
     maps: PhaseMaps
     returns: ReturnMaps | None
     reason: Reasons
     response: SampledResponse | None
+    light: OtherLight = OtherLight()
 
 
 def find_phases(task: PhaseTask, progress: Progress) -> Phases:
@@ -136,7 +141,7 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         return Phases(phase, returns, reason, response)
     accepted = parameters.maximum_phase_error_rad + (_largest_ripple(known.ripples) if corrected else 0.0)
     doubt = None if lines is None else check_code(measurement, lines.stacked(), accepted, task.geometry)
-    check_frames(
+    light = check_frames(
         task.subject,
         measurement,
         patches.stacked(),
@@ -146,7 +151,47 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         codes=known.codes,
         doubt=doubt,
     )
-    return Phases(phase, returns, reason, response)
+    _account_for(light, measurement, known, phase, returns, reason == Reason.VALID)
+    return Phases(phase, returns, reason, response, light)
+
+
+def _account_for(
+    light: OtherLight,
+    measurement: Measurement,
+    known: Known,
+    phase: PhaseMaps,
+    returns: ReturnMaps | None,
+    trusted: Mask,
+) -> None:
+    """Take what neighbours of frames do to phase gradients out of them, and put the rest into their sigma.
+
+    Without what the projector's response is known to make of that: it is corrected, or stated already.
+    """
+    maps: list[tuple[NDArray[Any], Singles, Singles]] = [(phase.omega, phase.omega_sigma, phase.modulation)]
+    if returns is not None:
+        maps.append((returns.omega, returns.omega_sigma, returns.amplitude))
+    if light.lag is not None:
+        for k, (shift, scatter) in enumerate(zip(light.lag.shift, light.lag.scatter, strict=True)):
+            for omega, sigma, _ in maps:
+                omega[k] -= shift
+                np.hypot(sigma[k], np.float32(scatter), out=sigma[k])
+    if not any(light.excess):
+        return
+    exposure = 1.0 if phase.exposure is None else phase.exposure
+    noise = measurement.noise(phase.mean_intensity * exposure) / exposure
+    steps, densities = measurement.sequence.steps, np.array([t for t in measurement.sequence.densities if t])
+    for k, excess in enumerate(light.excess):
+        if known.ripples and len(densities) > 1:
+            of_noise = phase_sigma(noise[trusted], phase.modulation[k, trusted], steps)
+            ripple = known.ripples[k].expected_error(phase.omega[k, trusted]) / of_noise
+            # Half of what harmonics leave in the plane is phase, and n - 1 of n parts are left over.
+            excess -= 0.5 * len(densities) / (len(densities) - 1) * float(np.mean(np.square(ripple)))
+        if excess <= 0.0:
+            continue
+        times = np.float32(np.sqrt(excess / np.sum(densities**2)))
+        for _, sigma, modulation in maps:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                np.hypot(sigma[k], times * phase_sigma(noise, modulation[k], steps), out=sigma[k])
 
 
 def _known(task: PhaseTask, response: SampledResponse | None) -> Known:

@@ -62,6 +62,7 @@ from sms_jobs.kinds.shape.trusted_points import (
     mark_points,
     paired_sensors,
 )
+from sms_jobs.kinds.shape.watched_frames import OtherLight
 from sms_jobs.kinds.valid_parts import fractions, losses
 from sms_jobs.metrology.arrays import Mask, Reasons, Singles
 from sms_jobs.metrology.calibration.checking.expected_gap import pixel_size
@@ -96,6 +97,8 @@ class ReconstructParameters(PhaseParameters):
 _FRAMES = Port("measurement", MEASUREMENT, (MEASURED,))
 _CALIBRATION = Port("calibration", CALIBRATION, (CALIBRATED, UNCERTAINTY))
 
+_TOLD_LAG, _TOLD_EXCESS = 0.005, 1.0
+"""Of the light, and of the variance of noise, of which a remark is made."""
 _MOST_APART = 0.75
 """Part of the points whose rays may miss each other without a remark."""
 
@@ -146,13 +149,18 @@ def run(inputs: Inputs, parameters: ReconstructParameters, progress: Progress) -
         PHASE: phase,
         CALIBRATION_FACTOR: factor,
     }
-    told = _told_of_gaps(reason), contradiction(factor, "the rays miss each other", "sensors", off_px)
+    told = (
+        _told_of_gaps(reason),
+        contradiction(factor, "the rays miss each other", "sensors", off_px),
+        *_told_of_light(found.light),
+    )
     progress(1.0, remarked("; ".join(filter(None, told)), beside="triangulated"))
     if found.returns is not None:
         records[RETURNS] = found.returns
         statistics |= _pair_statistics(reason, found.returns)
     if found.response is not None:
         statistics |= _response_statistics(found.response, measurement.sequence.steps)
+    statistics |= _light_statistics(found.light)
     if phase.exposure is not None:
         statistics |= _exposure_statistics(phase.exposure, measurement.sequence.exposures)
     yield DatasetOutput(inputs.subject, records, statistics)
@@ -187,6 +195,33 @@ def _told_of_gaps(reason: Reasons) -> str:
         "calibration of another rig; what is left may be off as much, with too much noise to show it: "
         "calibrate again, or state by calibration_sigma_px how well the calibration is known"
     )
+
+
+def _told_of_light(light: OtherLight) -> Iterator[str]:
+    """Yield what is unusual about the light of the frames, and what was done about it."""
+    lag, excess = light.lag, max(light.excess, default=0.0)
+    if lag is not None and lag.part > _TOLD_LAG:
+        yield (
+            f"the frames hold {lag.part:.1%} of the light of the frame {lag.neighbour} each, which is taken "
+            "out of the phases: let the projector settle longer before each exposure, and see that "
+            "exposures end while its pattern is shown"
+        )
+    if excess > _TOLD_EXCESS:
+        yield (
+            f"phases scatter {np.sqrt(1.0 + excess):.1f} times as much as noise makes them, and so do all "
+            "deviations: see if a lamp or the projector flickers or is not linear, and if gain and read "
+            "noise are the camera's"
+        )
+
+
+def _light_statistics(light: OtherLight) -> dict[str, float]:
+    """Return the same for people to search by; the part of the frame after is negative."""
+    statistics = {}
+    if light.lag is not None:
+        statistics["frame_lag"] = light.lag.part if light.lag.neighbour == "before" else -light.lag.part
+    if any(light.excess):
+        statistics["phase_excess"] = max(light.excess)
+    return statistics
 
 
 def _statistics(points: Triangulation, phase: PhaseMaps, reason: Reasons, blur: Blur) -> dict[str, float]:
@@ -244,7 +279,7 @@ def _pair_statistics(reason: Reasons, returns: ReturnMaps) -> dict[str, float]:
 KIND = Kind(
     name="reconstruct",
     summary="shape from fringes: phase gradients, points, their covariance, and a reason for every gap",
-    version=30,
+    version=31,
     scope=Scope.TUPLE,
     parameters=ReconstructParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -245,7 +245,7 @@ def _statistics(surface: Surface, phase: PhaseMaps, epipolar_px: float) -> dict[
 KIND = Kind(
     name="stereo-fringes",
     summary="shape from fringes that two cameras see, by their calibration alone: phases looked up, rays met",
-    version=7,
+    version=8,
     scope=Scope.TUPLE,
     parameters=StereoFringesParameters,
     inputs=(_FRAMES, _CALIBRATION),

@@ -29,6 +29,8 @@ _KEPT = 0.999
 _MISFIT = 1.0  # of a frame: noise and what is accepted, together
 _TO_OTHERS = 3.0  # times the median frame's misfit
 _HARMONICS = 3
+_LEAST_EXCESS, _SURE = 0.05, 4.0
+_TINY = np.finfo(np.float32).tiny
 
 
 @dataclass(frozen=True)
@@ -89,11 +91,82 @@ class SampledFrames:
 
 
 @dataclass(frozen=True)
+class FringeModel:
+    """The fringes of one phase gradient, as they were fitted to frames.
+
+    Attributes
+    ----------
+    densities
+        (densities, 1).
+    steps
+        Of each.
+    expected
+        (densities, pixels): phasor of the fringe at step 0, of length 1.
+    amplitude
+        (densities, pixels): of the fringe, in grey levels, not negative.
+    modulation
+        (pixels,): that of all densities, root mean square.
+    """
+
+    densities: Singles
+    steps: int
+    expected: NDArray[np.complex64]
+    amplitude: Singles
+    modulation: Singles
+
+    def unexplained(self, change: Singles) -> tuple[Singles, Singles]:
+        """Return what of a small change of frames fits no mean, gradient, modulations, harmonics.
+
+        Parameters
+        ----------
+        change
+            (densities, steps, pixels), grey levels.
+
+        Returns
+        -------
+        What is left of it, and the change (pixels,) of the gradient, in rad per fringe.
+        """
+        turned = _phasors(change) * self.expected.conj()
+        by_gradient = self.amplitude * self.densities
+        squares = np.maximum(np.sum(by_gradient * by_gradient, axis=0), _TINY)
+        gradient = np.sum(by_gradient * turned.imag, axis=0) / squares
+        fringe = self.expected * (turned.real + 1j * by_gradient * gradient)
+        return self.without_fringes(change - change.mean(axis=(0, 1)), fringe), gradient
+
+    def without_fringes(self, departure: Singles, fringe: NDArray[np.complex64]) -> Singles:
+        """Take fringes, and the harmonics of the model's, from frames less their mean, in place.
+
+        The frames are (densities, steps, pixels); `fringe` (densities, pixels) is the fringe at step 0.
+        """
+        steps, expected = self.steps, self.expected
+        turns = np.exp(2j * pi * np.arange(steps) / steps).astype(np.complex64)
+        wave = fringe
+        for n in range(1, _HARMONICS + 1):
+            turn = turns**n
+            if n > 1:
+                wave = self.modulation * expected**n
+                seen = np.einsum("k,tkp->tp", turn.conj(), departure)
+                # Where a step turns the harmonic by half a turn or not at all, its cosine alone is seen.
+                power = np.square(wave.real) if 2 * n % steps == 0 else 0.5 * np.square(np.abs(wave))
+                total = np.maximum(steps * power.sum(axis=1), _TINY)
+                wave = wave * (np.sum((seen * wave.conj()).real, axis=1) / total)[:, None]
+            for k in range(steps):
+                departure[:, k] -= turn[k].real * wave.real - turn[k].imag * wave.imag
+        return departure
+
+
+@dataclass(frozen=True)
 class FrameFit:
     """What frames leave unexplained.
 
     Attributes
     ----------
+    model
+        The fringes that they show.
+    departure
+        (densities, steps, pixels): frames less their mean, these fringes and their harmonics, in grey levels.
+    noise
+        (pixels,): standard deviation of a grey level.
     consistent
         (pixels,): where the phases of all densities belong to one phase gradient.
     misfit
@@ -109,8 +182,15 @@ class FrameFit:
         That of the sampled frames.
     shift, shift_sigma
         (densities,): mean of `residual` over the consistent pixels, and its standard deviation.
+    excess
+        Variance that phases have besides noise and harmonics, in units of that of noise, over the consistent
+        pixels; 0 where it is no more than a twentieth, by which a noise model may be off, or than four of its
+        standard deviations.
     """
 
+    model: FringeModel
+    departure: Singles
+    noise: Singles
     consistent: Mask
     misfit: Singles
     total: float
@@ -119,6 +199,7 @@ class FrameFit:
     least_share: float
     shift: Singles
     shift_sigma: Singles
+    excess: float
 
     @property
     def share(self) -> float:
@@ -178,16 +259,16 @@ def fit_frames(sampled: SampledFrames) -> FrameFit:
     stack = sampled.levels.reshape(len(densities), steps, -1).astype(np.float32)
     mean, modulation = found.mean_intensity[0], found.modulation[0]
     noise = np.sqrt(grey.variance(mean))
-    cosine, sine = stepping_weights(steps).astype(np.float32)
-    z = np.einsum("k,tkp->tp", cosine, stack) + 1j * np.einsum("k,tkp->tp", sine, stack)
+    z = _phasors(stack)
     phase = np.multiply.outer(densities, omega) + np.reshape(sampled.offsets or 0.0, (-1, 1))
     expected = np.exp(1j * phase).astype(np.complex64)
     turned = z * expected.conj()
-    fringe = expected * np.maximum(turned.real, 0.0)
-    departure = _without_harmonics(stack - mean, fringe, expected, modulation)
-    np.square(departure, out=departure)
-    departure /= np.square(noise) + np.square(sampled.accepted_level * modulation)
-    np.minimum(departure, _CAP, out=departure)
+    amplitude = np.maximum(turned.real, 0.0)
+    model = FringeModel(np.array(densities, np.float32)[:, None], steps, expected, amplitude, modulation)
+    departure = model.without_fringes(stack - mean, expected * amplitude)
+    misfit = np.square(departure)
+    misfit /= np.square(noise) + np.square(sampled.accepted_level * modulation)
+    np.minimum(misfit, _CAP, out=misfit)
     residual = np.angle(turned).astype(np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = phase_error_factor(len(densities), _KEPT) * phase_sigma(noise, modulation, steps)
@@ -198,39 +279,44 @@ def fit_frames(sampled: SampledFrames) -> FrameFit:
     judged = consistent if consistent.any() else np.ones_like(consistent)
     count = np.sqrt(np.count_nonzero(judged))
     return FrameFit(
+        model,
+        departure,
+        noise,
         consistent,
-        departure[:, :, judged].mean(axis=2),
-        float(departure.mean()),
+        misfit[:, :, judged].mean(axis=2),
+        float(misfit.mean()),
         residual,
         weight.astype(np.float32),
         sampled.least_share,
         residual[:, judged].mean(axis=1),
         residual[:, judged].std(axis=1) / np.float32(count),
+        _excess(model, departure[..., judged], noise[judged], judged),
     )
 
 
-def _without_harmonics(
-    departure: Singles, fringe: NDArray[np.complex64], expected: NDArray[np.complex64], modulation: Singles
-) -> Singles:
-    """Take the fringes and their harmonics from frames (densities, steps, pixels) less their mean.
+def _excess(model: FringeModel, departure: Singles, noise: Singles, judged: Mask) -> float:
+    """Return the excess of `FrameFit`, of what the judged pixels leave.
 
-    `fringe` and `expected`, (densities, pixels), are the fringe at step 0 and its phasor.
+    By what densities leave of their phases, n - 1 degrees of freedom. A single one leaves none: by all that
+    its frames leave, steps - 3, as lights that differ from frame to frame move phases, too.
     """
-    steps = departure.shape[1]
-    turns = np.exp(2j * pi * np.arange(steps) / steps).astype(np.complex64)
-    wave = fringe
-    for n in range(1, _HARMONICS + 1):
-        turn = turns**n
-        if n > 1:
-            wave = modulation * expected**n
-            seen = np.einsum("k,tkp->tp", turn.conj(), departure)
-            # Where a step turns the harmonic by half a turn or not at all, its cosine alone is seen.
-            power = np.square(wave.real) if 2 * n % steps == 0 else 0.5 * np.square(np.abs(wave))
-            total = np.maximum(steps * power.sum(axis=1), np.finfo(np.float32).tiny)
-            wave = wave * (np.sum((seen * wave.conj()).real, axis=1) / total)[:, None]
-        for k in range(steps):
-            departure[:, k] -= turn[k].real * wave.real - turn[k].imag * wave.imag
-    return departure
+    densities, steps = departure.shape[:2]
+    if densities > 1:
+        phases = (_phasors(departure) * model.expected[:, judged].conj()).imag
+        left, freedom = np.sum(np.square(phases), axis=0) * (0.5 * steps), densities - 1
+    else:
+        left, freedom = np.sum(np.square(departure), axis=(0, 1)), steps - 3
+    if not freedom or not noise.size:
+        return 0.0
+    times = np.asarray(left / (freedom * np.square(noise)), np.float64)
+    excess, sigma = float(times.mean()) - 1.0, float(times.std() / np.sqrt(times.size))
+    return excess if excess > max(_LEAST_EXCESS, _SURE * sigma) else 0.0
+
+
+def _phasors(stack: Singles) -> NDArray[np.complex64]:
+    """Return the fringes at step 0 of frames (densities, steps, pixels), (densities, pixels)."""
+    cosine, sine = stepping_weights(stack.shape[1]).astype(np.float32)
+    return np.asarray(np.einsum("k,tkp->tp", cosine, stack) + 1j * np.einsum("k,tkp->tp", sine, stack))
 
 
 def share_by_chance(sampled: SampledFrames) -> float:

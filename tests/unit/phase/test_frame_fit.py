@@ -14,6 +14,7 @@ from sms_jobs.metrology.phase.frame_fit import SampledFrames, fit_frames, lit_pi
 from sms_jobs.metrology.phase.frame_mishaps import find_mishap
 from sms_jobs.metrology.phase.grey_levels import GreyLevels
 from sms_jobs.metrology.phase.phase_jumps import find_jump
+from sms_jobs.metrology.phase.temporal_unwrapping import CoarseGradient
 
 GREY = GreyLevels(4095, 0.1, 2.0)
 DENSITIES = (16, 15, 14, 12, 8)
@@ -49,6 +50,40 @@ def test_frames_as_they_should_be_leave_noise(second: float, rng: np.random.Gene
     assert fit.share > 0.999 - 4.0 * np.sqrt(0.001 / PIXELS)
     assert (np.abs(fit.shift) < 5.0 * fit.shift_sigma).all()
     assert find_jump(fit, DENSITIES) is None or abs(find_jump(fit, DENSITIES).change_rad) < 0.005
+
+
+@pytest.mark.parametrize("light", [0.0, 3.0, 10.0])
+@pytest.mark.parametrize("second", [0.0, 0.1])
+def test_what_phases_scatter_by_beyond_noise_is_their_excess(
+    light: float, second: float, rng: np.random.Generator
+) -> None:
+    """Of light that each frame has besides, the same at all pixels: it moves phases as noise of its size."""
+    one = sampled(rng, second=second)
+    # Alternating signs and steps would be a harmonic or a mean: of ten draws of twenty frames.
+    found = []
+    for _ in range(10):
+        besides = light * rng.standard_normal(len(one.levels))
+        levels = np.clip(np.rint(one.levels + besides[:, None]), 0, 4095).astype(np.uint16)
+        found.append(fit_frames(replace(one, levels=levels)).excess)
+    mean = one.levels.mean(axis=0)
+    expected = light**2 * float(np.mean(1.0 / GREY.variance(mean)))
+    # Sums of ten times four squares, to 0.23 of themselves; consistent pixels alone have a little less.
+    assert np.mean(found) == pytest.approx(expected, rel=0.7, abs=1e-9)
+    assert (light == 0.0) == (max(found) == 0.0)
+
+
+def test_a_single_density_tells_of_other_light_by_all_its_frames(rng: np.random.Generator) -> None:
+    omega = rng.uniform(-pi, pi, (1, PIXELS))
+    theta = 16 * omega + 2.0 * pi * np.arange(6)[:, None] / 6
+    level = 700.0 + 500.0 * np.cos(theta) + np.array([0.0, 20.0, -10.0, 0.0, 30.0, -20.0])[:, None]
+    for besides in (False, True):
+        shown = level if besides else 700.0 + 500.0 * np.cos(theta)
+        noisy = np.clip(
+            np.rint(shown + np.sqrt(GREY.variance(shown)) * rng.standard_normal(shown.shape)), 0, 4095
+        )
+        coarse = CoarseGradient(omega, 0.01)
+        one = SampledFrames(noisy.astype(np.uint16), (16,), 6, GREY, 0.02, coarse=coarse)
+        assert (fit_frames(one).excess > 1.0) == besides
 
 
 def test_a_frame_that_departs_is_guilty_alone(rng: np.random.Generator) -> None:
