@@ -71,6 +71,7 @@ def pairs(seed: int, *, quick: bool = False) -> Iterator[Callable[[], TruthPair]
     yield partial(_tip, seed)
     yield partial(_periodic, seed)
     yield partial(_fixed_pattern, seed)
+    yield partial(_bad_pixels, seed)
     yield partial(_falling_light, seed)
     yield partial(_blurred, seed)
     yield partial(_outline, seed)
@@ -185,6 +186,17 @@ def _fixed_pattern(seed: int) -> TruthPair:
     return _pair(
         "dust", "dust, and gains of pixels that differ by 1 %", seed, images, np.stack(field(*_grid()))
     )
+
+
+def _bad_pixels(seed: int) -> TruthPair:
+    """Let three pixels of ten thousand be dead, and three hot, by 1.5 contrasts in the mean."""
+    field = shift(1.37, -0.24)
+    at_rest, (moved,) = _speckle(seed, field)
+    rng = np.random.default_rng(seed + 11)
+    dead, hot = rng.random((2, *at_rest.shape)) < 3e-4
+    more = hot * rng.exponential(1.5 * _CONTRAST, at_rest.shape)
+    images = (~dead * (_MEAN + at_rest) + more, ~dead * (_MEAN + moved) + more)
+    return _pair("bad pixels", "dead and hot pixels", seed, images, np.stack(field(*_grid())))
 
 
 def _falling_light(seed: int) -> TruthPair:

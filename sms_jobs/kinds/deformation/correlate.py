@@ -315,7 +315,7 @@ def _statistics(field: DisplacementField, matches: ImageMatches, before: Texture
 KIND = Kind(
     name="correlate",
     summary="displacement from two states: texture matched region by region, looked up in both surfaces",
-    version=31,
+    version=32,
     scope=Scope.TUPLE,
     parameters=CorrelateParameters,
     inputs=(

@@ -163,3 +163,13 @@ def phase_error_factor(fitted: int, kept: float) -> float:
     distribution of n - 1 degrees of freedom. Infinite for one density, which leaves no residual.
     """
     return sqrt(chdtri(fitted - 1, 1.0 - kept) / (fitted - 1)) if fitted > 1 else float("inf")
+
+
+def spots(where: Mask, most_px: int) -> Mask:
+    """Return the pixels of a mask (rows, columns) whose piece is at most `most_px` wide and high."""
+    import cv2
+
+    _, labels, about, _ = cv2.connectedComponentsWithStats(where.astype(np.uint8), connectivity=8)
+    small = (about[:, cv2.CC_STAT_WIDTH] <= most_px) & (about[:, cv2.CC_STAT_HEIGHT] <= most_px)
+    small[0] = False  # the background
+    return np.asarray(small[labels])

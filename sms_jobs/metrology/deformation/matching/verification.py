@@ -20,7 +20,7 @@ from sms_jobs.metrology.deformation.matching.correlation import PreparedImages, 
 from sms_jobs.metrology.deformation.matching.slow_changes import moved_by_slow_changes
 from sms_jobs.metrology.deformation.matching.subsets import RIM, blur_tensor, blurred_more
 from sms_jobs.metrology.deformation.matching.window_maps import means, means_of
-from sms_jobs.metrology.images.masks import box_of, narrowed
+from sms_jobs.metrology.images.masks import box_of, narrowed, spots
 from sms_jobs.metrology.images.smoothing import (
     noise_after_smoothing,
     noise_in_windows,
@@ -42,6 +42,7 @@ _FAR = 2.0  # px: a step of more than about a speckle's radius says nothing
 _RIM = 3  # px at an image's border: its spline, bent by reflection, is off by 0.01 px there
 _OTHER = 8.0  # median deviations from which on a pixel shows something else
 _SAMPLE, _EVERY = 20_000, 8  # pixels that tell a median, to 2 %; of more, every so many, at most
+_SPOT = 5  # px: what a bad pixel of the sensor, interpolated, is wide and high at most
 _OTHERS = 0.25  # of a window's pixels that may show something else
 _LIKE_ENOUGH = 0.05  # and that it may have, whatever the noise: light that changes across a fold
 _LEAST_VARIANCE = 1e-12  # grey levels squared, of images that are told to have no noise
@@ -50,8 +51,7 @@ _LEFT_BY_FIT = {0: 1.0, 1: 0.6, 2: 0.45}
 """By the order of subsets, the part of a window's noise that the displacement has not followed; by trial."""
 _DEPENDENT = 0.7  # of a window's pixels: neighbours that count as one; by trial
 _WHOLE_BIAS = 1.25
-"""Variance of the bias over that of what windows see: they are too large for all of it; by trial, on waves of
-one to four subset widths."""
+"""Variance of the bias over that of what windows see, too large for all of it; by trial, on waves."""
 
 
 @dataclass(frozen=True)
@@ -374,6 +374,9 @@ def _in_part(
     radii = (sizes.subset, sizes.coarse)
     moved = moved_by_slow_changes(residual, (gx, gy), (slow_x, slow_y), white, like, known, radii)
     np.maximum(square, moved, out=square)
+    if (other := spots(known & ~like, _SPOT)).any():  # which have pulled the match by what they ask for
+        pulled, _ = _asked_for(gx, gy, np.where(other, residual, 0.0), variance, sizes.subset)
+        np.maximum(square, pulled**2, out=square)
     squares = np.empty(residual.shape)
     window_maps.mended_squares(residual, asked, (gx, gy), (like, known), _FAR, squares)
     return square, _misfit(squares, texture, noise.pixel * variance, roughness, known, like, sizes.window)
