@@ -196,7 +196,7 @@ def _bad_pixels(seed: int) -> TruthPair:
     dead, hot = rng.random((2, *at_rest.shape)) < 3e-4
     more = hot * rng.exponential(1.5 * _CONTRAST, at_rest.shape)
     images = (~dead * (_MEAN + at_rest) + more, ~dead * (_MEAN + moved) + more)
-    return _pair("bad pixels", "dead and hot pixels", seed, images, np.stack(field(*_grid())))
+    return _pair("bad_pixels", "dead and hot pixels", seed, images, np.stack(field(*_grid())))
 
 
 def _falling_light(seed: int) -> TruthPair:

@@ -104,7 +104,8 @@ def check_frames(
     Notes
     -----
     Nothing is said where fewer than 200 of the sampled pixels are lit. Of a single density beside a Gray code
-    motion alone is looked for here, the rest by `code_watch`; what that cannot explain motion may.
+    motion and other light alone are looked for here, the rest by `code_watch`; what that cannot explain
+    motion may.
     """
     contradiction = f"the frames of {subject} are not what they are said to be: {{}}"
     if doubt is not None:

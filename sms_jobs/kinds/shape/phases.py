@@ -151,22 +151,39 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         codes=known.codes,
         doubt=doubt,
     )
-    _account_for(light, measurement, known, phase, returns, reason == Reason.VALID)
+    light = _unexplained(light, measurement, known, phase, reason == Reason.VALID)
+    _account_for(light, measurement, phase, returns)
     return Phases(phase, returns, reason, response, light)
 
 
-def _account_for(
-    light: OtherLight,
-    measurement: Measurement,
-    known: Known,
-    phase: PhaseMaps,
-    returns: ReturnMaps | None,
-    trusted: Mask,
-) -> None:
-    """Take what neighbours of frames do to phase gradients out of them, and put the rest into their sigma.
+def _unexplained(
+    light: OtherLight, measurement: Measurement, known: Known, phase: PhaseMaps, trusted: Mask
+) -> OtherLight:
+    """Return it without what the known response of the projector makes: corrected, or stated already."""
+    densities = [t for t in measurement.sequence.densities if t]
+    if not (any(light.excess) and known.ripples and len(densities) > 1 and trusted.any()):
+        return light
+    noise = _noise_at_exposure_one(measurement, phase)[trusted]
+    left = []
+    for k, excess in enumerate(light.excess):
+        of_noise = phase_sigma(noise, phase.modulation[k, trusted], measurement.sequence.steps)
+        ripple = known.ripples[k].expected_error(phase.omega[k, trusted]) / of_noise
+        # Half of what harmonics leave in the plane is phase, and n - 1 of n parts of that are left over.
+        share = 0.5 * len(densities) / (len(densities) - 1) * float(np.mean(np.square(ripple)))
+        left.append(max(excess - share, 0.0))
+    return replace(light, excess=tuple(left))
 
-    Without what the projector's response is known to make of that: it is corrected, or stated already.
-    """
+
+def _noise_at_exposure_one(measurement: Measurement, phase: PhaseMaps) -> Singles:
+    """Return the noise of a grey level, (rows, columns), in units of the camera's own exposure."""
+    exposure = 1.0 if phase.exposure is None else phase.exposure
+    return np.asarray(measurement.noise(phase.mean_intensity * exposure) / exposure)
+
+
+def _account_for(
+    light: OtherLight, measurement: Measurement, phase: PhaseMaps, returns: ReturnMaps | None
+) -> None:
+    """Take what neighbours of frames do to phase gradients out of them, and put the rest into their sigma."""
     maps: list[tuple[NDArray[Any], Singles, Singles]] = [(phase.omega, phase.omega_sigma, phase.modulation)]
     if returns is not None:
         maps.append((returns.omega, returns.omega_sigma, returns.amplitude))
@@ -177,21 +194,13 @@ def _account_for(
                 np.hypot(sigma[k], np.float32(scatter), out=sigma[k])
     if not any(light.excess):
         return
-    exposure = 1.0 if phase.exposure is None else phase.exposure
-    noise = measurement.noise(phase.mean_intensity * exposure) / exposure
-    steps, densities = measurement.sequence.steps, np.array([t for t in measurement.sequence.densities if t])
+    noise, steps = _noise_at_exposure_one(measurement, phase), measurement.sequence.steps
+    squares = sum(t**2 for t in measurement.sequence.densities)
     for k, excess in enumerate(light.excess):
-        if known.ripples and len(densities) > 1:
-            of_noise = phase_sigma(noise[trusted], phase.modulation[k, trusted], steps)
-            ripple = known.ripples[k].expected_error(phase.omega[k, trusted]) / of_noise
-            # Half of what harmonics leave in the plane is phase, and n - 1 of n parts are left over.
-            excess -= 0.5 * len(densities) / (len(densities) - 1) * float(np.mean(np.square(ripple)))
-        if excess <= 0.0:
-            continue
-        times = np.float32(np.sqrt(excess / np.sum(densities**2)))
-        for _, sigma, modulation in maps:
+        for _, sigma, modulation in maps if excess else ():
             with np.errstate(divide="ignore", invalid="ignore"):
-                np.hypot(sigma[k], times * phase_sigma(noise, modulation[k], steps), out=sigma[k])
+                more = np.float32(np.sqrt(excess / squares)) * phase_sigma(noise, modulation[k], steps)
+                np.hypot(sigma[k], more, out=sigma[k])
 
 
 def _known(task: PhaseTask, response: SampledResponse | None) -> Known:
