@@ -152,7 +152,7 @@ def find_phases(task: PhaseTask, progress: Progress) -> Phases:
         doubt=doubt,
     )
     light = _unexplained(light, measurement, known, phase, reason == Reason.VALID)
-    _account_for(light, measurement, phase, returns)
+    account_for(light, measurement, phase, returns)
     return Phases(phase, returns, reason, response, light)
 
 
@@ -180,10 +180,14 @@ def _noise_at_exposure_one(measurement: Measurement, phase: PhaseMaps) -> Single
     return np.asarray(measurement.noise(phase.mean_intensity * exposure) / exposure)
 
 
-def _account_for(
+def account_for(
     light: OtherLight, measurement: Measurement, phase: PhaseMaps, returns: ReturnMaps | None
 ) -> None:
-    """Take what neighbours of frames do to phase gradients out of them, and put the rest into their sigma."""
+    """Take what neighbours of frames do to phase gradients out of them, and put the rest into their sigma.
+
+    In place. What the neighbours do differs from pixel to pixel, and a mean is known: its scatter is in the
+    deviations, as noise whose variance is `OtherLight.excess` times that of the camera's.
+    """
     maps: list[tuple[NDArray[Any], Singles, Singles]] = [(phase.omega, phase.omega_sigma, phase.modulation)]
     if returns is not None:
         maps.append((returns.omega, returns.omega_sigma, returns.amplitude))
