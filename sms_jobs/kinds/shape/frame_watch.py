@@ -160,8 +160,8 @@ def _lagging(seen: WatchedFrames) -> str:
 def _of_neighbours(part: float, neighbour: Neighbour) -> str:
     return (
         f"they hold {part:.0%} of the light of the frame {neighbour} each: the projector changes slowly, or "
-        "the camera exposes while it changes; let it settle, see that exposures begin and end while one "
-        "pattern is shown, and record again"
+        "the camera exposes while it changes; let it settle longer (settle_ms of the rig), see that "
+        "exposures begin and end while one pattern is shown, and record again"
     )
 
 

@@ -203,8 +203,8 @@ def _told_of_light(light: OtherLight) -> Iterator[str]:
     if lag is not None and lag.part > _TOLD_LAG:
         yield (
             f"the frames hold {lag.part:.1%} of the light of the frame {lag.neighbour} each, which is taken "
-            "out of the phases: let the projector settle longer before each exposure, and see that "
-            "exposures end while its pattern is shown"
+            "out of the phases: let the projector settle longer (settle_ms of the rig), and see that "
+            "exposures begin and end while one pattern is shown"
         )
     if excess > _TOLD_EXCESS:
         yield (

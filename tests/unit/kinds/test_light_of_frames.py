@@ -122,7 +122,7 @@ def test_more_of_it_is_refused_by_name(part: float, neighbour: Neighbour) -> Non
     surface, said = reconstructed(session, with_light_of(session, neighbour, part))
     assert surface is None
     assert f"they hold {part:.0%} of the light of the frame {neighbour} each" in said
-    assert "let it settle" in said
+    assert "let it settle longer (settle_ms of the rig)" in said
 
 
 @pytest.mark.parametrize(
