@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sms_jobs.errors import MeasurementFailed
 from sms_jobs.kinds.shape.code_watch import CodeFinding
-from sms_jobs.kinds.shape.watched_frames import OtherLight, WatchedFrames, frame_places
+from sms_jobs.kinds.shape.watched_frames import LEAST_PIXELS, OtherLight, WatchedFrames, frame_places
 from sms_jobs.metrology.arrays import Singles
 from sms_jobs.metrology.images.frame_motion import image_shifts
 from sms_jobs.metrology.phase.frame_fit import (
@@ -29,7 +29,6 @@ from sms_jobs.records.subject import Subject
 _PAIRS = (4, 16)  # of rows, at least and at most: one for 32 rows
 _ROWS_A_PAIR = 32
 _BLOCKS, _BLOCK_PX = 8, 16  # of neighbouring columns
-_LEAST_PIXELS = 200  # that are lit: of fewer nothing is said
 _SURE = 6.0  # standard deviations
 _OF_ONE_FRAME = ("exchanged", "dark", "doubled", "gain", "other")
 _UNIFORM = 0.5  # of the modulation, by which a uniform field differs from the mean at least
@@ -116,7 +115,7 @@ def check_frames(
     grey, places = measurement.grey_levels, frame_places(measurement, len(patches))
     flat = patches.reshape(len(patches), -1)
     lit = np.logical_and.reduce([lit_pixels(flat[own], grey) for own in places])
-    if np.count_nonzero(lit) < _LEAST_PIXELS:
+    if np.count_nonzero(lit) < LEAST_PIXELS:
         return OtherLight()
     if codes:
         if finding := _jointly(measurement, codes, [flat[own][:, lit] for own in places], accepted_rad):

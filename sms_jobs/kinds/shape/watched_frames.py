@@ -14,6 +14,8 @@ from sms_jobs.metrology.phase.frame_fit import FrameFit, SampledFrames, fit_fram
 from sms_jobs.metrology.phase.frame_lag import NEIGHBOURS, FrameLag, Neighbour, find_lag, without_lag
 from sms_jobs.records.measurement import Measurement
 
+LEAST_PIXELS = 200
+"""That are lit: of fewer nothing is said."""
 _SURE = 6.0  # standard deviations
 _TRIED = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)  # beyond, nothing is told apart
 _EXPLAINED = 0.6  # of the pixels agree
@@ -103,7 +105,12 @@ class WatchedFrames:
         return min(fit.share for fit in self.fits)
 
     def other_light(self) -> OtherLight:
-        """Return what frames hold besides their patterns and noise."""
+        """Return what frames hold besides their patterns and noise; nothing where hardly a pixel tells."""
+        within = self.levels.max(axis=0) < self.measurement.grey_levels.full_scale
+        if not within.all():
+            # What is cut off at full scale looks like light that is missing.
+            some = np.count_nonzero(within) >= LEAST_PIXELS
+            return replace(self, levels=self.levels[:, within]).other_light() if some else OtherLight()
         sure = [one for one in map(self._lag, NEIGHBOURS) if one.part > _SURE * one.sigma]
         lag = max(sure, key=lambda one: one.explained, default=None)
         apart = self if lag is None else self._without(lag.part, lag.neighbour)

@@ -30,6 +30,7 @@ _MISFIT = 1.0  # of a frame: noise and what is accepted, together
 _TO_OTHERS = 3.0  # times the median frame's misfit
 _HARMONICS = 3
 _LEAST_EXCESS, _SURE = 0.05, 4.0
+_ROUNDED = 1.0 / 12.0  # variance of a grey level by being a whole number
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -166,7 +167,7 @@ class FrameFit:
     departure
         (densities, steps, pixels): frames less their mean, these fringes and their harmonics, in grey levels.
     noise
-        (pixels,): standard deviation of a grey level.
+        (pixels,): standard deviation of a grey level, that of a whole number at least.
     consistent
         (pixels,): where the phases of all densities belong to one phase gradient.
     misfit
@@ -277,11 +278,12 @@ def fit_frames(sampled: SampledFrames) -> FrameFit:
     error = found.phase_error[0]
     consistent = ~found.ambiguous[0] & (np.isnan(error) | (error < limit)) & np.isfinite(found.omega[0])
     judged = consistent if consistent.any() else np.ones_like(consistent)
+    least_noise = np.sqrt(np.maximum(np.square(noise), np.float32(_ROUNDED)))
     count = np.sqrt(np.count_nonzero(judged))
     return FrameFit(
         model,
         departure,
-        noise,
+        least_noise,
         consistent,
         misfit[:, :, judged].mean(axis=2),
         float(misfit.mean()),
@@ -290,7 +292,7 @@ def fit_frames(sampled: SampledFrames) -> FrameFit:
         sampled.least_share,
         residual[:, judged].mean(axis=1),
         residual[:, judged].std(axis=1) / np.float32(count),
-        _excess(model, departure[..., judged], noise[judged], judged),
+        _excess(model, departure[..., judged], least_noise[judged], judged),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ from sms_jobs.bench.fringes.fringe_mishaps import (
 )
 from sms_jobs.kinds.shape.phases import account_for
 from sms_jobs.kinds.shape.reconstruct import KIND, ReconstructParameters
-from sms_jobs.kinds.shape.watched_frames import OtherLight
+from sms_jobs.kinds.shape.watched_frames import OtherLight, WatchedFrames
 from sms_jobs.kinds.surface_ports import position_covariance
 from sms_jobs.metrology.geometry.planes import trace
 from sms_jobs.metrology.phase.frame_lag import NEIGHBOURS, FrameLag, Neighbour
@@ -142,6 +144,22 @@ def test_a_lamp_that_flickers_is_in_the_deviations(
     # 1.4 and 1.3 without; noise that repeats itself along fringes leaves a little more than noise.
     assert np.sqrt(np.mean(every**2)) < 1.1
     assert np.mean(every > 6.0) < 1e-4
+
+
+def test_overexposed_frames_are_not_taken_for_other_light() -> None:
+    session = perfect_session(np.random.default_rng(11), FringeSequence((16, 15, 14, 12, 8)))
+    frames = session.measurement.frames.rows(0, 128)
+    lit = frames[:, session.shape.lit]
+    most = int(np.percentile(lit.max(axis=0), 60))
+    told = replace(session.measurement, full_scale=most)
+    seen = WatchedFrames(told, np.minimum(lit, most).astype(np.uint16), 0.02, ranged=False)
+    assert max(fit.excess for fit in seen.fits) > 1.0
+    light = seen.other_light()
+    assert light.lag is None
+    assert max(light.excess) == 0.0
+    # Of hardly any pixel nothing is said.
+    few = replace(seen, levels=np.concatenate([seen.levels[:, :50], np.full_like(seen.levels, most)], axis=1))
+    assert few.other_light() == OtherLight()
 
 
 def test_nothing_is_said_of_frames_as_they_should_be() -> None:

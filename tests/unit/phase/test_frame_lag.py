@@ -99,6 +99,16 @@ def test_a_lamp_that_flickers_is_no_lag(rng: np.random.Generator) -> None:
         assert lag.part < 6.0 * lag.sigma
 
 
+def test_frames_that_are_told_to_have_no_noise_are_whole_numbers(rng: np.random.Generator) -> None:
+    densities, steps = CASES[0]
+    _, levels = shown(rng, densities, steps)
+    for part in (0.0, 0.01):
+        frames = np.rint(mixed(levels, part, "before")).astype(np.uint16)
+        lag = found(SampledFrames(frames, densities, steps, GreyLevels(4095, 0.0, 0.0), 0.02), "before")
+        assert lag.part == pytest.approx(part, abs=5.0 * lag.sigma + 2.0 * part**2)
+        assert 0.0 < lag.sigma < 1e-3
+
+
 @pytest.mark.parametrize("neighbour", NEIGHBOURS)
 def test_without_the_part_frames_are_as_they_were_shown(
     neighbour: Neighbour, rng: np.random.Generator
