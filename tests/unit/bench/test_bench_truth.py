@@ -40,9 +40,9 @@ def shelf_of(made: dict[str, TruthPair]) -> ShelfOf:
 def test_the_second_image_shows_what_the_displacement_says(made: dict[str, TruthPair]) -> None:
     """Carried back along it, it differs from the first by the noise of both: 28 levels, less what the spline
     smooths of the second's, whose part is 0.5 to 1 of its variance."""
-    assert len(made) == 13
+    assert len(made) == 14
     for name, pair in made.items():
-        if pair.group in {"blur", "light", "dust"}:
+        if pair.group in {"blur", "light", "dust", "bad_pixels"}:
             continue  # light, focus and the sensor's own pattern are no displacement
         row, column = np.mgrid[0:512, 0:512].astype(np.float64)
         u, v = np.nan_to_num(pair.displacement)
@@ -57,7 +57,7 @@ def test_the_second_image_shows_what_the_displacement_says(made: dict[str, Truth
         assert abs(np.mean(left)) < 0.5, name
 
 
-@pytest.mark.parametrize("group", ["sine", "crack", "dust", "outline"])
+@pytest.mark.parametrize("group", ["sine", "crack", "dust", "bad_pixels", "outline"])
 def test_what_is_wrong_is_not_called_valid(made: dict[str, TruthPair], shelf_of: ShelfOf, group: str) -> None:
     """At most a hundred in a million: what is left lies together, in one place of a pair or none."""
     found = [judged(pair, shelf_of(pair)) for pair in made.values() if pair.group == group]
