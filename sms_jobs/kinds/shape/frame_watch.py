@@ -124,9 +124,10 @@ def check_frames(
     seen = WatchedFrames(measurement, flat[:, lit], accepted_rad, ranged)
     finding, light = _finding(seen, patches, motion_px), seen.other_light()
     lag = light.lag
-    if finding or any(fit.few_agree for fit in seen.fits):
+    # A noise that was estimated from such frames hides how little they agree.
+    if finding or seen.suspected > _MOST_LAG or any(fit.few_agree for fit in seen.fits):
         finding = _lagging(seen) or finding
-    elif lag is not None and lag.part > _MOST_LAG:
+    if not finding and lag is not None and lag.part > _MOST_LAG:
         finding = _of_neighbours(lag.part, lag.neighbour)
     if finding:
         raise MeasurementFailed(contradiction.format(finding))

@@ -18,7 +18,7 @@ LEAST_PIXELS = 200
 """That are lit: of fewer nothing is said."""
 _SURE = 6.0  # standard deviations
 _TRIED = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)  # beyond, nothing is told apart
-_EXPLAINED = 0.6  # of the pixels agree
+_EXPLAINED, _LEFT = 0.5, 0.5  # of the pixels agree, and of the misfit is left at most
 _ONE_SURFACE = 0.9  # of the pixels agree
 _LEAST = 0.02  # that explains why they do not
 
@@ -104,6 +104,11 @@ class WatchedFrames:
         """Part of the pixels whose phases agree, of the worse orientation."""
         return min(fit.share for fit in self.fits)
 
+    @property
+    def misfit(self) -> float:
+        """What they leave, in units of noise and of what is accepted, of all orientations."""
+        return sum(fit.total for fit in self.fits)
+
     def other_light(self) -> OtherLight:
         """Return what frames hold besides their patterns and noise; nothing where hardly a pixel tells."""
         within = self.levels.max(axis=0) < self.measurement.grey_levels.full_scale
@@ -111,12 +116,17 @@ class WatchedFrames:
             # What is cut off at full scale looks like light that is missing.
             some = np.count_nonzero(within) >= LEAST_PIXELS
             return replace(self, levels=self.levels[:, within]).other_light() if some else OtherLight()
-        sure = [one for one in map(self._lag, NEIGHBOURS) if one.part > _SURE * one.sigma]
+        sure = [one for one in self._lags if one.part > _SURE * one.sigma]
         lag = max(sure, key=lambda one: one.explained, default=None)
         apart = self if lag is None else self._without(lag.part, lag.neighbour)
         # What a pixel sees of a second surface is no excess.
         one_surface = not self.ranged or apart.share > _ONE_SURFACE
         return OtherLight(lag, tuple(fit.excess for fit in apart.fits) if one_surface else ())
+
+    @property
+    def suspected(self) -> float:
+        """The larger part of a neighbour's light that the frames seem to hold, sure or not."""
+        return max(one.part for one in self._lags)
 
     def explaining_lag(self) -> tuple[float, Neighbour, WatchedFrames] | None:
         """Return the part of a neighbour's light without which frames that do not agree do, and them then.
@@ -126,14 +136,17 @@ class WatchedFrames:
         tried = (
             (self._without(part, neighbour), part, neighbour) for neighbour in NEIGHBOURS for part in _TRIED
         )
-        apart, part, neighbour = max(tried, key=lambda one: one[0].share)
-        if apart.share < _EXPLAINED:
+        apart, part, neighbour = min(tried, key=lambda one: one[0].misfit)
+        if apart.share < _EXPLAINED or apart.misfit > _LEFT * self.misfit:
             return None
-        part += (1.0 - part) * apart._lag(neighbour).part
+        part += (1.0 - part) * apart._lags[NEIGHBOURS.index(neighbour)].part
         return (part, neighbour, self._without(part, neighbour)) if _LEAST < part < 1.0 else None
 
-    def _lag(self, neighbour: Neighbour) -> FrameLag:
-        return find_lag(self.fits, self.levels.astype(np.float32), self.places, neighbour)
+    @cached_property
+    def _lags(self) -> tuple[FrameLag, ...]:
+        """What is found of each neighbour."""
+        levels = self.levels.astype(np.float32)
+        return tuple(find_lag(self.fits, levels, self.places, neighbour) for neighbour in NEIGHBOURS)
 
     def _without(self, part: float, neighbour: Neighbour) -> WatchedFrames:
         """Return the frames without the part that each holds of a neighbour."""

@@ -117,6 +117,16 @@ def test_what_is_found_is_taken_out_and_stated_of_all_returns() -> None:
         np.testing.assert_allclose(sigma[1], np.hypot(3e-3, np.sqrt(8.0) * noise), rtol=1e-6)
 
 
+@pytest.mark.parametrize("gain", [2.0, 9.5])
+@pytest.mark.parametrize("part", [0.1, 0.3])
+def test_it_is_named_where_the_noise_was_estimated_from_such_frames(part: float, gain: float) -> None:
+    session = perfect_session(np.random.default_rng(11), FringeSequence((16, 15, 14, 12, 8)))
+    seen = replace(with_light_of(session, "before", part), gain=gain)
+    surface, said = reconstructed(session, seen)
+    assert surface is None
+    assert "of the light of the frame before each" in said
+
+
 @pytest.mark.parametrize("part", [0.1, 0.3, 0.45])
 @pytest.mark.parametrize("neighbour", NEIGHBOURS)
 def test_more_of_it_is_refused_by_name(part: float, neighbour: Neighbour) -> None:
