@@ -148,12 +148,15 @@ def grown(box: tuple[slice, slice], margin: int) -> tuple[slice, slice]:
     return rows, columns
 
 
-def alone(valid: Mask) -> Mask:
-    """Return the valid pixels (rows, columns) without a valid neighbour in their row, or in their column."""
-    padded = np.pad(valid, 1)
-    beside = padded[1:-1, :-2] | padded[1:-1, 2:]
-    above_or_below = padded[:-2, 1:-1] | padded[2:, 1:-1]
-    return np.asarray(valid & ~(beside & above_or_below))
+def alone(valid: Mask, reach: int = 1) -> Mask:
+    """Return the valid pixels (rows, columns) that reach no other in their row, or none in their column."""
+    has_beside, has_above = np.zeros_like(valid), np.zeros_like(valid)
+    for step in range(1, reach + 1):
+        has_beside[:, step:] |= valid[:, :-step]
+        has_beside[:, :-step] |= valid[:, step:]
+        has_above[step:] |= valid[:-step]
+        has_above[:-step] |= valid[step:]
+    return np.asarray(valid & ~(has_beside & has_above))
 
 
 def phase_error_factor(fitted: int, kept: float) -> float:

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from sms_jobs.metrology.arrays import Floats, Mask, Singles
 from sms_jobs.metrology.compilation import in_row_blocks, inner, uncounted_kernel
-from sms_jobs.metrology.images.masks import at_edge
+from sms_jobs.metrology.images.masks import alone, at_edge
 
 Floating = NDArray[np.floating]
 
@@ -239,16 +239,4 @@ class SeenTexture:
             self.usable & (variance * np.hypot(slope[0], slope[1]) > most_px)
             for slope in (self.gradient, self.relative)
         )
-        return far | (self.usable & ~_has_neighbours(self.usable)), doubtful
-
-
-def _has_neighbours(usable: Mask) -> Mask:
-    """Return which pixels have a usable one within reach along columns, and one along rows."""
-    has = np.ones_like(usable)
-    for axis in range(2):
-        own, seen = np.moveaxis(usable, axis, 0), np.zeros_like(np.moveaxis(usable, axis, 0))
-        for reach in range(1, _REACH_PX + 1):
-            seen[reach:] |= own[:-reach]
-            seen[:-reach] |= own[reach:]
-        has &= np.moveaxis(seen, 0, axis)
-    return has
+        return far | alone(self.usable, _REACH_PX), doubtful

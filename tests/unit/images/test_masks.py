@@ -7,6 +7,7 @@ import pytest
 from scipy import ndimage
 
 from sms_jobs.metrology.images.masks import (
+    alone,
     at_edge,
     beside_another_label,
     box_of,
@@ -19,6 +20,7 @@ from sms_jobs.metrology.images.masks import (
     of_one_label,
     outside_box,
     phase_error_factor,
+    spots,
     wide_gaps,
     widened,
 )
@@ -165,3 +167,24 @@ def test_a_box_holds_all_of_a_mask_and_no_more() -> None:
     assert box_of(mask) == (slice(3, 7), slice(2, 5))
     assert grown(box_of(mask), 3) == (slice(0, 10), slice(0, 8))
     assert mask[box_of(np.zeros_like(mask))].size == 0
+
+
+def test_pixels_are_alone_that_reach_no_other_in_a_row_or_a_column() -> None:
+    valid = np.ones((7, 9), bool)
+    valid[:, [3, 5]] = False  # beside column 4
+    one = np.zeros_like(valid)
+    one[:, 4] = True
+    np.testing.assert_array_equal(alone(valid), one)
+    assert not alone(valid, 2).any()
+    valid[:, [2, 6]] = False
+    np.testing.assert_array_equal(alone(valid, 2), one)
+
+
+def test_spots_are_pieces_no_wider_nor_higher_than_told() -> None:
+    where = np.zeros((12, 20), bool)
+    where[1:4, 1:4] = where[8, 2:8] = where[5:11, 12] = where[4, 16] = where[5, 17] = True
+    small = np.zeros_like(where)
+    small[1:4, 1:4] = small[4, 16] = small[5, 17] = True  # corners touch: one piece of two by two
+    np.testing.assert_array_equal(spots(where, 5), small)
+    assert not spots(np.ones((4, 4), bool), 3).any()
+    assert not spots(np.zeros((4, 4), bool), 3).any()
